@@ -1,4 +1,4 @@
-"""check: the usual mistakes with a log are named, and what it cannot tell is said."""
+"""check names the usual mistakes with a log, and what the log cannot identify."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ def log_of(folder, columns, **layout):
 
 
 def scaled(voltage=1.0, current=1.0):
-    out = dict(COLUMNS)
-    for name in out:
-        out[name] = out[name] * {"u": voltage, "i": current}.get(name[0], 1.0)
-    return out
+    columns = dict(COLUMNS)
+    for name in columns:
+        columns[name] = columns[name] * {"u": voltage, "i": current}.get(name[0], 1.0)
+    return columns
 
 
 def turned(mirror, degrees):
-    """Currents whose phases were exchanged."""
+    """Return columns whose current phases are exchanged."""
     z = COLUMNS["i_alpha"] + 1j * COLUMNS["i_beta"]
     z = np.exp(1j * np.radians(degrees)) * (z.conj() if mirror else z)
     return COLUMNS | {"i_alpha": z.real, "i_beta": z.imag}
 
 
-def by_kind(found):
-    return {finding.kind: finding for finding in found.findings}
+def by_kind(checked):
+    return {finding.kind: finding for finding in checked.findings}
 
 
 def test_a_right_log_is_right(tmp_path):
-    found = check(log_of(tmp_path, COLUMNS), PMSM)
-    assert found.sound
-    assert found.residual == found.residual_given < 0.02
-    told = by_kind(found)
-    assert not any(told[kind].others for kind in ("sign", "phases", "frame"))
+    checked = check(log_of(tmp_path, COLUMNS), PMSM)
+    assert checked.sound
+    assert checked.residual == checked.residual_given < 0.02
+    findings = by_kind(checked)
+    assert not any(findings[kind].others for kind in ("sign", "phases", "frame"))
 
 
 @pytest.mark.parametrize(
-    ("columns", "kind", "words"),
+    ("columns", "kind", "message"),
     [
         (scaled(current=-1), "sign", "opposite sign"),
         (turned(True, 0), "phases", "b and c are exchanged"),
@@ -64,13 +64,13 @@ def test_a_right_log_is_right(tmp_path):
         (scaled(np.sqrt(1.5), np.sqrt(1.5)), "scale", "power-invariant"),
     ],
 )
-def test_names_the_mistake(tmp_path, columns, kind, words):
-    found = check(log_of(tmp_path, columns), PMSM)
-    assert not found.sound
-    finding = by_kind(found)[kind]
+def test_names_the_mistake(tmp_path, columns, kind, message):
+    checked = check(log_of(tmp_path, columns), PMSM)
+    assert not checked.sound
+    finding = by_kind(checked)[kind]
     assert not finding.as_given
-    assert words in str(finding)
-    assert [f.kind for f in found.findings if not f.as_given] == [kind]
+    assert message in str(finding)
+    assert [f.kind for f in checked.findings if not f.as_given] == [kind]
 
 
 def three_phases(letter):
@@ -84,7 +84,7 @@ _AXES = ((1.0, -0.5, -0.5), (0.0, SQRT3 / 2, -SQRT3 / 2))
 @pytest.mark.parametrize(
     ("measured", "phase"),
     [
-        # test_put_right.py has the map of each; here one of each kind of log is quick
+        # test_corrections.py tests the map of each; here, one of each kind of log is quick.
         pytest.param(measured, phase, marks=() if phase == measured[-1] else pytest.mark.slow)
         for measured in ("ab", "bc", "ac", "abc")
         for phase in measured
@@ -94,8 +94,8 @@ def test_one_current_sensor_is_inverted(tmp_path, measured, phase):
     currents = {name: values for name, values in three_phases("i").items() if name[-1] in measured}
     currents[f"i_{phase}"] = -currents[f"i_{phase}"]
     columns = {"t": COLUMNS["t"]} | three_phases("u") | currents
-    found = check(log_of(tmp_path, columns), PMSM)
-    (finding,) = found.mistakes
+    checked = check(log_of(tmp_path, columns), PMSM)
+    (finding,) = checked.mistakes
     assert f"i_{phase} has the opposite sign (--scale i_{phase}=-1)" in str(finding)
 
 
@@ -106,49 +106,49 @@ def test_voltages_to_neutral_read_as_line_to_line(tmp_path):
     columns |= {n: v for n, v in three_phases("i").items() if n != "i_c"}
     columns = {n: v for n, v in columns.items() if not n.startswith(("i_al", "i_be"))}
     (finding,) = check(log_of(tmp_path, columns, frame="line"), PMSM).mistakes
-    assert "voltages are of phases a and b to neutral (--frame abc" in str(finding)
+    assert "voltages are those of phases a and b to neutral (--frame abc" in str(finding)
 
 
-def test_linear_maps_in_a_row():
+def test_linear_maps_are_composed():
     rng = np.random.default_rng(0)
-    one, other = (Linear(*(rng.standard_normal(2) + 1j * rng.standard_normal(2))) for _ in "ab")
+    first, second = (Linear(*(rng.standard_normal(2) + 1j * rng.standard_normal(2))) for _ in "ab")
     z = rng.standard_normal(5) + 1j * rng.standard_normal(5)
-    np.testing.assert_allclose(other.after(one)(z), other(one(z)))
+    np.testing.assert_allclose(second.after(first)(z), second(first(z)))
 
 
 def test_a_resistance_line_to_line(tmp_path):
     machine = PMSM.model_copy(update={"R_s": 2 * PMSM.R_s})
     finding = by_kind(check(log_of(tmp_path, COLUMNS), machine))["scale"]
-    assert finding.words.startswith("R_s in the machine file is off: 3.6 Ω fits")
+    assert finding.words.startswith("R_s in the machine file is wrong: 3.6 Ω fits")
     assert any("line to line (halve it)" in other for other in finding.others)
 
 
 @pytest.mark.parametrize("lag", [-2, -1, 1, 2])
 def test_a_lag(tmp_path, lag):
-    # Fast, so that a sample is an angle that shows.
+    # Fast, so that one sample is a visible angle.
     speed = profile((0, 0), (0.3, 471), (1.0, 471), (1.4, -471), (2.0, -471))
     load = profile((0, 2), (0.5, 2), (0.51, 5), (0.8, 5), (0.81, 1), (2, 1))
     columns = log_columns(driven(PMSM, COURSE_TIME, speed, 1j * load, noise=0.01))
     for name in ("u_alpha", "u_beta"):
         columns[name] = np.roll(columns[name], lag)
-    cut = {name: values[5:-5] for name, values in columns.items()}
-    finding = by_kind(check(log_of(tmp_path, cut), PMSM))["lag"]
+    inner = {name: values[5:-5] for name, values in columns.items()}
+    finding = by_kind(check(log_of(tmp_path, inner), PMSM))["lag"]
     assert f"{lag:+d}" in (finding.words, *finding.others)
-    assert not finding.as_given or lag == -1  # which is within what a model may leave here
+    assert not finding.as_given or lag == -1  # its residual is within the model error here
 
 
-def test_a_steady_log_cannot_tell_the_resistance(tmp_path):
+def test_a_steady_log_does_not_identify_the_resistance(tmp_path):
     speed = profile((0, 236), (1.5, 236))
     samples = driven(PMSM, COURSE_TIME, speed, np.full(len(speed), 4j), noise=0.02)
-    found = check(log_of(tmp_path, log_columns(samples)), PMSM)
-    assert found.sound
-    text = "\n".join(found.lines())
+    checked = check(log_of(tmp_path, log_columns(samples)), PMSM)
+    assert checked.sound
+    text = "\n".join(checked.lines())
     assert "steps of load or speed would show R_s" in text
-    assert "Would fit as well" in text
+    assert "Fits equally well" in text
     assert "halve it" in text
 
 
-def test_without_a_magnet_its_flux_is_no_matter(tmp_path):
+def test_without_a_magnet_no_magnet_flux_is_mentioned(tmp_path):
     machine = example("synrm-6kw7")
     speed = profile((0, 100), (0.5, 100), (0.9, -200), (1.5, -200))
     load = profile((0, 10), (0.3, 10), (0.31, 15), (0.7, 15), (0.71, 8), (1.5, 8))
@@ -169,23 +169,23 @@ def test_impossible_values_are_gaps(tmp_path):
         assert check(log_of(tmp_path, columns), PMSM).sound
 
 
-def test_a_log_that_tells_nothing(tmp_path):
+def test_a_log_of_noise(tmp_path):
     rng = np.random.default_rng(1)
     noise = {name: rng.standard_normal(4000) for name in COLUMNS if name != "t"}
-    found = check(log_of(tmp_path, noise | {"t": COLUMNS["t"][:4000]}), PMSM)
-    assert not found.sound
-    assert "no arrangement" in str(found)
+    checked = check(log_of(tmp_path, noise | {"t": COLUMNS["t"][:4000]}), PMSM)
+    assert not checked.sound
+    assert "no arrangement" in str(checked)
 
 
-def test_a_log_of_standstill(tmp_path):
+def test_a_log_at_standstill(tmp_path):
     rng = np.random.default_rng(2)
     z = np.exp(0.3j) * (3 + 0.5 * np.sin(np.linspace(0, 40, 8000)))
     i = z + 0.01 * (rng.standard_normal(8000) + 1j * rng.standard_normal(8000))
     u = PMSM.R_s * z + PMSM.L_s * np.gradient(z, COURSE_TIME)
     columns = {"t": COURSE_TIME * np.arange(8000), "u_alpha": u.real, "u_beta": u.imag}
-    found = check(log_of(tmp_path, columns | {"i_alpha": i.real, "i_beta": i.imag}), PMSM)
-    assert not found.sound
-    assert "as at standstill" in str(found)
+    checked = check(log_of(tmp_path, columns | {"i_alpha": i.real, "i_beta": i.imag}), PMSM)
+    assert not checked.sound
+    assert "as at standstill" in str(checked)
 
 
 def test_exit_codes(tmp_path):

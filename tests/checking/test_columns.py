@@ -1,24 +1,24 @@
-"""Mistakes that show in the columns themselves; limits from both sides."""
+"""Mistakes that the columns of a log reveal; limits from both sides."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fluxobs.checking.columns import columns
+from fluxobs.checking.columns import check_columns
 
 ROWS = 3000
 PHASE = 0.02 * np.arange(ROWS)
 THREE = {f"i_{p}": np.cos(PHASE - k * 2 * np.pi / 3) for k, p in enumerate("abc")}
 
 
-def findings(channels, first=0, last=None, true=None, **given):
-    """What is said of the rows `first` to `last` of these channels."""
+def findings(channels, first=0, last=None, true=None, **options):
+    """Return the findings on the rows `first` to `last` of these channels, as text."""
     last = len(next(iter(channels.values()))) if last is None else last
-    asked = []
+    requests = []
 
     def batches(low, high):
-        asked.append((low, high))
+        requests.append((low, high))
         for start in range(low, high, 1000):
             yield {
                 name: values[start : min(start + 1000, high)] for name, values in channels.items()
@@ -29,13 +29,13 @@ def findings(channels, first=0, last=None, true=None, **given):
         last=last,
         channels=batches,
         names=dict.fromkeys(channels) | {name: name for name in channels},
-        conversions=dict.fromkeys(channels, (1.0, 0.0)) | given.get("conversions", {}),
+        conversions=dict.fromkeys(channels, (1.0, 0.0)) | options.get("conversions", {}),
         true=None if true is None else SimpleNamespace(channel=true),
     )
-    log.names |= given.get("names", {})
-    found = columns(log)
+    log.names |= options.get("names", {})
+    found = check_columns(log)
     assert not any(finding.as_given for finding in found)
-    ((low, high),) = asked
+    ((low, high),) = requests
     assert first <= low < high <= last
     return [f"{finding.kind}: {finding.words}" for finding in found]
 
@@ -45,21 +45,21 @@ def waves(count=ROWS):
     return {"i_alpha": np.cos(phase), "i_beta": np.sin(phase)}
 
 
-def test_sound_columns():
+def test_right_columns_give_no_finding():
     assert findings(waves()) == []
     assert findings(THREE) == []
     assert findings({"t": PHASE, "udc": np.full(ROWS, 540.0), **THREE}) == []
 
 
-@pytest.mark.parametrize(("off", "same"), [(0.5e-9, True), (2e-9, False)])
-def test_the_same_signal_in_two_columns(off, same):
+@pytest.mark.parametrize(("difference", "same"), [(0.5e-9, True), (2e-9, False)])
+def test_the_same_signal_in_two_columns(difference, same):
     both = {"u_a": 5 * np.cos(PHASE), "i_a": 5 * np.cos(PHASE)}
-    both["i_a"][7] -= 5 * off
+    both["i_a"][7] -= 5 * difference
     both["u_a"][9], both["i_a"][11] = np.nan, np.inf
-    said = findings(both, names={"u_a": "Ua"})
-    words = "columns: u_a (column Ua) and i_a hold the same signal: give each channel its own"
-    assert len(said) == same
-    assert all(text.startswith(words) for text in said)
+    texts = findings(both, names={"u_a": "Ua"})
+    message = "columns: u_a (column Ua) and i_a hold the same signal: give each channel its own"
+    assert len(texts) == same
+    assert all(text.startswith(message) for text in texts)
 
 
 def test_the_same_column_read_with_different_scales_and_offsets():
@@ -71,8 +71,8 @@ def test_the_same_column_read_with_different_scales_and_offsets():
 
 def test_signals_of_zeros_are_constant_not_the_same():
     still = {"u_a": np.zeros(ROWS), "i_a": np.zeros(ROWS)}
-    said = findings(still, names={"u_a": "Ua"})
-    assert said == [
+    texts = findings(still, names={"u_a": "Ua"})
+    assert texts == [
         "columns: u_a (column Ua) never changes: is it the right column?",
         "columns: i_a never changes: is it the right column?",
     ]
@@ -86,7 +86,7 @@ def test_a_constant_signal_with_gaps():
 
 
 def unbalanced(gain):
-    """i_a with another gain, and what the sum of the three then is, as a share of a phase."""
+    """Return currents with another gain of i_a, and their sum as a share of a phase current."""
     share = np.sqrt((gain - 1) ** 2 / 2 / ((gain**2 + 2) / 6))
     return THREE | {"i_a": gain * THREE["i_a"]}, share
 
@@ -95,12 +95,12 @@ def unbalanced(gain):
 def test_phase_currents_whose_sum_is_not_zero(gain, blamed):
     currents, share = unbalanced(gain)
     assert (share > 0.3) == blamed
-    currents["i_b"] = currents["i_b"] + 7.0  # an offset is no part of it
+    currents["i_b"] = currents["i_b"] + 7.0  # offsets do not count
     currents["i_c"][5:8] = np.nan
-    said = findings(currents)
-    assert len(said) == blamed
+    texts = findings(currents)
+    assert len(texts) == blamed
     assert all(
-        text.startswith(f"columns: i_a + i_b + i_c is not zero but {share:.0%}") for text in said
+        text.startswith(f"columns: i_a + i_b + i_c is not zero but {share:.0%}") for text in texts
     )
 
 
@@ -108,8 +108,11 @@ def test_phase_currents_whose_sum_is_not_zero(gain, blamed):
 @pytest.mark.parametrize(("gain", "known"), [(1.33, True), (1.345, False)])
 def test_a_phase_current_of_the_opposite_sign(name, gain, known):
     (text,) = findings(THREE | {name: -gain * THREE[name]})
-    words = f"columns: {name} has the opposite sign (--scale {name}=-1): the sum is zero with that"
-    assert (text == words) == known
+    message = (
+        f"columns: {name} has the opposite sign (--scale {name}=-1): with it reversed, the sum "
+        f"is zero"
+    )
+    assert (text == message) == known
 
 
 def test_a_spike_does_not_unbalance_the_phases():
@@ -134,20 +137,20 @@ def test_a_spike_does_not_unbalance_the_phases():
         (65536, 65536),
     ],
 )
-def test_duties_that_are_no_shares(most, full):
-    """The full scale that is named is the next one of percent, permille and binary counters."""
+def test_duties_in_counts_or_percent(most, full):
+    """The message names the next full scale of percent, permille and binary counters."""
     duties = {f"d_{p}": np.linspace(0.1, 1, ROWS) * k for k, p in ((0.3, "a"), (0.5, "b"))}
     duties["d_c"] = -most * np.linspace(0.1, 1, ROWS) ** 2
     duties["d_c"][0] = np.nan
-    said = findings(duties)
-    assert len(said) == (full is not None)
-    for text in said:
+    texts = findings(duties)
+    assert len(texts) == (full is not None)
+    for text in texts:
         assert f"a duty reaches {most:g}," in text
         assert f"full scale is {full:g}: " in text
         assert text.endswith(" ".join(f"--scale d_{p}={1 / full:.6g}" for p in "abc"))
 
 
-def test_a_duty_beyond_all_counters_is_its_own_full_scale():
+def test_a_duty_beyond_all_counters_is_the_full_scale():
     (text,) = findings({"d_a": 70000 * np.linspace(0.1, 1, ROWS)})
     assert "full scale is 70000: --scale d_a=1.42857e-05" in text
 
@@ -156,14 +159,14 @@ def test_a_duty_beyond_all_counters_is_its_own_full_scale():
 def test_whole_numbers_about_a_large_mean(mean, blamed):
     counts = mean + 10.0 * (-1.0) ** np.arange(ROWS)  # a standard deviation of 10
     counts[0] = np.nan
-    said = findings({"i_a": counts, "i_b": np.cos(PHASE)})
-    assert len(said) == blamed
-    assert all("raw converter counts" in text and f"(i_a about {mean})" in text for text in said)
+    texts = findings({"i_a": counts, "i_b": np.cos(PHASE)})
+    assert len(texts) == blamed
+    assert all("raw converter counts" in text and f"(i_a about {mean})" in text for text in texts)
 
 
 def test_a_column_without_a_number_is_no_count():
-    said = findings({"i_a": np.full(ROWS, np.nan), "i_b": np.cos(PHASE)})
-    assert not any("converter" in text for text in said)
+    texts = findings({"i_a": np.full(ROWS, np.nan), "i_b": np.cos(PHASE)})
+    assert not any("converter" in text for text in texts)
 
 
 def test_whole_numbers_that_hardly_change():
@@ -175,7 +178,7 @@ def test_whole_numbers_that_hardly_change():
 
 
 @pytest.mark.parametrize("fraction", [0.3, 0.7])
-def test_what_is_not_whole_is_no_count(fraction):
+def test_fractions_are_not_counts(fraction):
     whole = 100 + np.round(10 * np.cos(PHASE))
     assert findings({"i_a": whole + fraction}) == []
     assert findings({"i_a": whole})[0].startswith("columns: whole")
@@ -190,7 +193,7 @@ def test_an_angle_that_wraps_in_degrees(channel):
     )
     name = "theta_mech" if channel == "truth" else "theta_e"
     assert text == (
-        f"angle: {name} wraps at 360: it seems not to be in radians (--unit {name}=deg)"
+        f"angle: {name} wraps at 360: it is probably not in radians (--unit {name}=deg)"
     )
     assert findings(waves() | {channel: PHASE % (2 * np.pi)}, true="theta_mech") == []
 
@@ -204,21 +207,19 @@ def test_a_true_speed_is_no_angle_and_an_angle_may_follow_another():
 
 
 @pytest.mark.parametrize(("count", "blamed"), [(2, False), (3, True)])
-def test_spikes_are_told_from_three_on(count, blamed):
+def test_spikes_are_reported_from_three_on(count, blamed):
     spiked = waves()
     spiked["i_beta"][500 : 500 + 100 * count : 100] += 30.0
-    said = findings({"d_a": spiked["i_beta"] / 100, **spiked})
-    assert len(said) == blamed
-    for text in said:
-        assert text.startswith(
-            "spikes: single rows that leave their neighbours by far (i_beta: 3, "
-        )
+    texts = findings({"d_a": spiked["i_beta"] / 100, **spiked})
+    assert len(texts) == blamed
+    for text in texts:
+        assert text.startswith("spikes: single rows far from their neighbours (i_beta: 3, ")
         assert f"in {ROWS} rows)" in text
 
 
 @pytest.mark.parametrize("length", [50_000, 50_001])
 def test_twenty_thousand_rows_from_the_middle(length):
-    """Between the first row and the last that are to be read."""
+    """They lie in the middle of the rows to be read."""
     spiked = waves(length)
     first, last = 2000, length - 1000
     start = (first + last - 20_000) // 2
@@ -229,7 +230,7 @@ def test_twenty_thousand_rows_from_the_middle(length):
     assert "(i_alpha: 4, in 20000 rows)" in text
 
 
-def test_a_short_log_is_looked_at_from_its_first_row_to_its_last():
+def test_a_short_log_is_checked_from_its_first_to_its_last_row():
     spiked = waves()
     spiked["i_alpha"][[99, 101, 110, 998, 1000]] += 30.0
     (text,) = findings(spiked, 100, 1000)

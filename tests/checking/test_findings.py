@@ -1,4 +1,4 @@
-"""Findings of a finished search: thresholds from both sides, numbers in closed form."""
+"""Findings from a search result: thresholds from both sides, numbers in closed form."""
 
 from types import SimpleNamespace
 
@@ -9,118 +9,125 @@ from fluxobs.checking.findings import Finding
 from fluxobs.checking.mistakes import AS_GIVEN, FACTOR, FILE, LAG, PHASES, SCALES, SIGN, Mistake
 from fluxobs.checking.relation import RelationFit
 from fluxobs.checking.search import (
-    End,
-    Tried,
-    _finding,
-    _fits,
-    _likely,
-    _nothing_fits,
-    _scaled,
-    alternatives,
+    Candidate,
+    SearchResult,
+    _complete_scale,
+    _describe_fit,
+    _likely_value,
+    _make_finding,
+    _report_no_fit,
+    possible_mistakes,
 )
 from fluxobs.machines import example
 from support.records import PMSM
 
 SYNRM, IPM = example("synrm-6kw7"), example("ipm-2kw2")
-TOLD = np.full(4, 0.05)
+PRECISE = np.full(4, 0.05)
 
 
-def fit(misfit=10.0, share=0.01, values=(0, 0, 0, 0), std=TOLD, distance=0.0):
+def fit(misfit=10.0, share=0.01, values=(0, 0, 0, 0), std=PRECISE, distance=0.0):
     position = np.full((2, 4), 0.3j)
     return RelationFit(misfit, distance, share, np.array(values, float), np.array(std), position)
 
 
-def tried(mistake=AS_GIVEN, whole=None, **given):
+def candidate(mistake=AS_GIVEN, whole=None, **given):
     size = given.pop("size", 100.0)
-    return Tried(mistake, whole or mistake, fit(**given), 5.0 if mistake.kind else 0.0, size)
+    return Candidate(mistake, whole or mistake, fit(**given), 5.0 if mistake.kind else 0.0, size)
 
 
-def end(around=(), found=(), instead=None, **best):
-    taken = tried(**best)
-    return End(taken, taken, list(found), instead or {}, [taken, *around], 2.0)
+def result(others=(), mistakes=(), alternatives=None, **best):
+    chosen = candidate(**best)
+    return SearchResult(chosen, chosen, list(mistakes), alternatives or {}, [chosen, *others], 2.0)
 
 
-def test_the_cost_of_what_was_tried():
-    """Misfit over its level, distance from the prior, and odds; the costs add."""
-    assert tried(SIGN[0], misfit=12.0, distance=1.5).cost(2.0) == 6.0 + 1.5 + 5.0
+def test_the_cost_of_a_candidate():
+    """The cost is misfit over level, plus distance from the prior, plus odds."""
+    assert candidate(SIGN[0], misfit=12.0, distance=1.5).cost(2.0) == 6.0 + 1.5 + 5.0
 
 
 @pytest.mark.parametrize(("more", "alike"), [(7.9, True), (8.1, False)])
-def test_what_would_fit_as_well(more, alike):
-    """Within four, two standard deviations; misfits count by their level, here 2, and the odds of a
-    mistake do not count."""
-    other = tried(LAG[2], misfit=10.0 + more)
-    found = _finding("lag", end([other]), -1.0, "psi_f")
-    assert found.as_given
-    assert found.words == "-1"
-    assert found.others == (("+0",) if alike else ())
-    assert found.sure == ("" if alike else "anything else would need unlikely parameters")
+def test_what_fits_equally_well(more, alike):
+    """The limit is a cost difference of four, without the odds; the level of misfits is 2 here."""
+    other = candidate(LAG[2], misfit=10.0 + more)
+    finding = _make_finding("lag", result([other]), -1.0, "psi_f")
+    assert finding.as_given
+    assert finding.words == "-1"
+    assert finding.others == (("+0",) if alike else ())
+    assert finding.sure == ("" if alike else "every alternative needs implausible parameters")
 
 
 @pytest.mark.parametrize(
     ("shares", "sure"),
     [
-        ((0.0104,), "anything else would need unlikely parameters"),
-        ((0.0106, 0.05), "else the residual is 1.1 times as large"),
-        ((0.05, np.inf), "else the residual is 5.0 times as large"),
-        ((np.inf,), "else the position is never known"),
-        ((), "else the position is never known"),
+        ((0.0104,), "every alternative needs implausible parameters"),
+        ((0.0106, 0.05), "every alternative raises the residual at least 1.1-fold"),
+        ((0.05, np.inf), "every alternative raises the residual at least 5.0-fold"),
+        ((np.inf,), "with every alternative the position is never known"),
+        ((), "with every alternative the position is never known"),
     ],
 )
 def test_how_sure_a_finding_is(shares, sure):
-    others = [tried(PHASES[0], misfit=1e4, share=share) for share in shares]
-    others.append(tried(SIGN[0], misfit=1e4, share=0.011))  # of another kind
-    found = _finding("phases", end(others), 0.0, "psi_f")
-    assert (found.sure, found.others) == (sure, ())
-    assert found.words == "currents and voltages have the same phase order"
+    others = [candidate(PHASES[0], misfit=1e4, share=share) for share in shares]
+    others.append(candidate(SIGN[0], misfit=1e4, share=0.011))  # of another kind
+    finding = _make_finding("phases", result(others), 0.0, "psi_f")
+    assert (finding.sure, finding.others) == (sure, ())
+    assert finding.words == "currents and voltages have the same phase order"
 
 
 def test_a_finding_that_is_not_as_given():
-    taken = Mistake("scale", "psi_f is off")
-    found = _finding("scale", end(found=[SIGN[0], taken], instead={"scale": ("b",)}), 0.0, "psi_R")
-    assert found == Finding("scale", "psi_R is off", False, ("b",))
-    lag = _finding("lag", end(found=[LAG[0]], instead={"lag": ()}), 0.5, "psi_f")
+    taken = Mistake("scale", "psi_f is wrong")
+    finding = _make_finding(
+        "scale", result(mistakes=[SIGN[0], taken], alternatives={"scale": ("b",)}), 0.0, "psi_R"
+    )
+    assert finding == Finding("scale", "psi_R is wrong", False, ("b",))
+    lag = _make_finding("lag", result(mistakes=[LAG[0]], alternatives={"lag": ()}), 0.5, "psi_f")
     assert lag == Finding("lag", "-1.5", False, ())
 
 
 def test_the_parameters_that_fit():
     std = [0.09, 0.11, 0.05, 0.01]
-    best = tried(values=[np.log(1.25), 0.5, np.log(0.8), 0.0], std=std)
-    words = "R_s fits at 1.25 times and psi_f fits at 0.8 times what the machine file says"
-    assert _fits(best, PMSM) == words
-    assert _fits(tried(std=np.full(4, 0.11)), PMSM) == ""
-    both = _fits(tried(values=[0, np.log(2), 0, 0], std=[1, 0.05, 1, 1]), IPM)
-    assert both == "L_d and L_q fit at 2 times what the machine file says"
-    assert "psi_f" not in _fits(tried(), SYNRM)
+    best = candidate(values=[np.log(1.25), 0.5, np.log(0.8), 0.0], std=std)
+    text = "R_s fits at 1.25 times and psi_f fits at 0.8 times the machine file's value"
+    assert _describe_fit(best, PMSM) == text
+    assert _describe_fit(candidate(std=np.full(4, 0.11)), PMSM) == ""
+    both = _describe_fit(candidate(values=[0, np.log(2), 0, 0], std=[1, 0.05, 1, 1]), IPM)
+    assert both == "L_d and L_q fit at 2 times the machine file's value"
+    assert "psi_f" not in _describe_fit(candidate(), SYNRM)
 
 
-@pytest.mark.parametrize(("drop", "told"), [(0.029, False), (0.031, True)])
-def test_the_inverter_is_told_by_three_standard_deviations(drop, told):
-    best = tried(values=[0, 0, 0, drop], std=[1, 1, 1, 0.01], size=200.0)
-    words = f"the inverter loses about {200 * drop:.2g} V a phase (inverter_voltage)"
-    assert _fits(best, PMSM) == (words if told else "")
-    assert _fits(best, PMSM.with_values(inverter_voltage=1.0)) == ""
+@pytest.mark.parametrize(("drop", "reported"), [(0.029, False), (0.031, True)])
+def test_the_inverter_is_reported_beyond_three_standard_deviations(drop, reported):
+    best = candidate(values=[0, 0, 0, drop], std=[1, 1, 1, 0.01], size=200.0)
+    message = f"the inverter loses about {200 * drop:.2g} V per phase (inverter_voltage)"
+    assert _describe_fit(best, PMSM) == (message if reported else "")
+    assert _describe_fit(best, PMSM.with_values(inverter_voltage=1.0)) == ""
 
 
-def scaled(whole, values, std=TOLD, machine=PMSM, frame="alphabeta", as_given=False, sure="sure"):
-    best = tried(whole, values=values, std=std)
-    return _scaled(Finding("scale", "words", as_given, (), sure), best, machine, "fits", frame)
+def scaled(
+    whole, values, std=PRECISE, machine=PMSM, frame="alphabeta", as_given=False, sure="sure"
+):
+    best = candidate(whole, values=values, std=std)
+    return _complete_scale(
+        Finding("scale", "words", as_given, (), sure), best, machine, "fits", frame
+    )
 
 
-def test_a_scale_says_what_fits():
-    found = scaled(FILE[0], [0, 0, np.log(2), 0])
-    assert found.words == f"words: {2 * PMSM.psi_f:.3g} Wb fits"
-    assert found.sure == "fits; sure"
+def test_a_scale_names_the_value_that_fits():
+    finding = scaled(FILE[0], [0, 0, np.log(2), 0])
+    assert finding.words == f"words: {2 * PMSM.psi_f:.3g} Wb fits"
+    assert finding.sure == "fits; sure"
     assert scaled(SCALES[0], [0, 0, 0, 0]).words == "words"
     assert scaled(FILE[0], [0, 0, 0, 0], as_given=True).words == "words"
     other = Finding("sign", "words", False)
-    assert _scaled(other, tried(FILE[0]), PMSM, "fits", "dq") is other
+    assert _complete_scale(other, candidate(FILE[0]), PMSM, "fits", "dq") is other
 
 
-@pytest.mark.parametrize(("std", "told"), [(0.09, True), (0.11, False)])
-def test_a_resistance_that_is_not_told(std, told):
-    found = scaled(SCALES[0], [0, 0, 0, 0], [std, 0.05, 0.05, 0.05])
-    assert found.sure == "fits; sure" + ("" if told else "; steps of load or speed would show R_s")
+@pytest.mark.parametrize(("std", "identifiable"), [(0.09, True), (0.11, False)])
+def test_an_unidentifiable_resistance(std, identifiable):
+    finding = scaled(SCALES[0], [0, 0, 0, 0], [std, 0.05, 0.05, 0.05])
+    assert finding.sure == "fits; sure" + (
+        "" if identifiable else "; steps of load or speed would show R_s"
+    )
 
 
 @pytest.mark.parametrize(
@@ -139,50 +146,50 @@ def test_a_mechanical_angle_makes_the_flux_n_p_times_as_large(ratio, frame, aske
 
 
 @pytest.mark.parametrize(
-    ("whole", "told"),
+    ("whole", "message"),
     [
         (FILE[1], f"{1.5 * PMSM.R_s:.3g} Ω fits"),
         (FILE[2], f"L_s = {2 * PMSM.L_s:.3g} H fits"),
-        (FACTOR[0], "multiply them by about 2, or is the file that of another machine?"),
-        (FACTOR[1], "multiply them by about 0.5, or is the file that of another machine?"),
+        (FACTOR[0], "multiply them by about 2, or does the file describe another machine?"),
+        (FACTOR[1], "multiply them by about 0.5, or does the file describe another machine?"),
     ],
 )
-def test_the_likely_value(whole, told):
-    """Of the one that is known best."""
+def test_the_likely_value(whole, message):
+    """The value is that of the best-known parameter."""
     values = [np.log(1.5), np.log(2), np.log(4), 0]
-    best = tried(whole, values=values, std=[0.09, 0.01, 0.05, 0.1])
-    assert _likely(best, PMSM) == told
+    best = candidate(whole, values=values, std=[0.09, 0.01, 0.05, 0.1])
+    assert _likely_value(best, PMSM) == message
 
 
 def test_the_likely_inductances_of_both_axes():
-    best = tried(FILE[2], values=[0, np.log(2), 0, 0])
+    best = candidate(FILE[2], values=[0, np.log(2), 0, 0])
     L_d, L_q = IPM.L_dq
-    assert _likely(best, IPM) == f"L_d = {2 * L_d:.3g} H fits, L_q = {2 * L_q:.3g} H fits"
+    assert _likely_value(best, IPM) == f"L_d = {2 * L_d:.3g} H fits, L_q = {2 * L_q:.3g} H fits"
 
 
 @pytest.mark.parametrize(
-    ("drops", "said"),
+    ("drops", "message"),
     [
-        (0.29, "its R_s would take 3.45 times the voltage"),
+        (0.29, "the drop at its R_s would be 3.45 times the voltage"),
         (0.31, "hardly more than the resistive drop"),
         (1.49, "hardly more than the resistive drop"),
-        (1.51, "and are kind, R_s and inductances those of this machine?"),
+        (1.51, "and are its kind, R_s and inductances right?"),
     ],
 )
-def test_nothing_fits(drops, said):
-    """By how many resistive drops, at the median, the voltage is."""
+def test_no_explanation_fits(drops, message):
+    """The median voltage over the median resistive drop decides the message."""
     current = np.array([[2.0, 2j, -100.0]])
     voltage = drops * PMSM.R_s * np.array([[2.0, 2.0, 0.0]])
     search = SimpleNamespace(data=SimpleNamespace(voltage={0: voltage}, current=current))
-    found = _nothing_fits(SimpleNamespace(), PMSM, search, [], tried(share=0.4))
-    assert said in found.findings[0].words
-    assert (found.residual, found.residual_given, found.sound) == (0.4, 0.4, False)
+    finding = _report_no_fit(SimpleNamespace(), PMSM, search, [], candidate(share=0.4))
+    assert message in finding.findings[0].words
+    assert (finding.residual, finding.residual_given, finding.sound) == (0.4, 0.4, False)
 
 
-def test_what_is_possible_for_a_machine_and_a_log():
+def test_possible_mistakes_of_a_machine_and_a_log():
     def kinds(machine=PMSM, frame="alphabeta", names=()):
         log = SimpleNamespace(frame=frame, names=names)
-        return [mistake.words for mistake in alternatives(machine, log)]
+        return [mistake.words for mistake in possible_mistakes(machine, log)]
 
     usual = kinds()
     assert len(usual) == len(set(usual)) == 3 + 1 + 6 + 4 + 2 + 12 + 2 + 6
@@ -192,6 +199,6 @@ def test_what_is_possible_for_a_machine_and_a_log():
     assert len(kinds(names=("i_a", "i_b", "i_c"))) == len(usual)
     without = kinds(SYNRM)
     assert not any(words.startswith("psi_f") for words in without)
-    assert "the scale of the voltages is off" not in without
-    # nor what scales voltages and currents alike, which only the magnets would show
+    assert "the scale of the voltages is wrong" not in without
+    # Without magnets, a common scale of voltages and currents has no effect either.
     assert len(without) == len(usual) - 6

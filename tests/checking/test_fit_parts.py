@@ -1,4 +1,4 @@
-"""The parts of the fit behind `check`, each against a direct computation."""
+"""Steps of the fit behind `check`, each against a direct computation."""
 
 import numpy as np
 import pytest
@@ -11,11 +11,11 @@ from fluxobs.checking.relation import (
     R,
     RelationResidual,
     SegmentRows,
-    _start,
-    positions,
-    rows,
+    _initial_flux,
+    integrate_segments,
+    paired_rows,
 )
-from fluxobs.checking.segments import Stretches
+from fluxobs.checking.segments import Segments
 from fluxobs.machines import example
 from fluxobs.machines.model.inverter import inverter_direction
 from support.records import PMSM
@@ -26,37 +26,41 @@ IPM, SYNRM = example("ipm-2kw2"), example("synrm-6kw7")
 RNG = np.random.default_rng(5)
 
 
-def test_pairs_of_neighbours_from_the_first_row_to_the_last():
-    at = positions(1001)
-    assert len(at) == 200
-    assert (at[0], at[-1]) == (0, 1000)
-    np.testing.assert_array_equal(at[1::2], at[::2] + 1)
-    assert set(np.diff(at[::2])) <= {10, 11}
-    np.testing.assert_array_equal(positions(8), [0, 1, 2, 3, 4, 5, 6, 7])
-    assert len(positions(200)) == len(positions(201)) == 200
-    assert len(positions(199)) == 198
+def test_paired_rows_reach_from_the_first_to_the_last_row():
+    rows = paired_rows(1001)
+    assert len(rows) == 200
+    assert (rows[0], rows[-1]) == (0, 1000)
+    np.testing.assert_array_equal(rows[1::2], rows[::2] + 1)
+    assert set(np.diff(rows[::2])) <= {10, 11}
+    np.testing.assert_array_equal(paired_rows(8), [0, 1, 2, 3, 4, 5, 6, 7])
+    assert len(paired_rows(200)) == len(paired_rows(201)) == 200
+    assert len(paired_rows(199)) == 198
 
 
-def test_integrals_from_the_first_row_on():
+def test_integrals_start_at_the_first_row():
     shape = (2, 30)
     current = RNG.standard_normal(shape) + 1j * RNG.standard_normal(shape)
     voltage = RNG.standard_normal(shape) + 1j * RNG.standard_normal(shape)
-    data = Stretches(H, current, {0: voltage}, None)
-    found = rows(data, voltage, current, 0.3)
-    at = positions(30)
-    np.testing.assert_allclose(found.t, np.tile(H * at, (2, 1)))
-    np.testing.assert_array_equal(found.current, current[:, at])
-    assert found.size == pytest.approx(np.abs(voltage).mean())
+    data = Segments(H, current, {0: voltage}, None)
+    integrated = integrate_segments(data, voltage, current, 0.3)
+    rows = paired_rows(30)
+    np.testing.assert_allclose(integrated.t, np.tile(H * rows, (2, 1)))
+    np.testing.assert_array_equal(integrated.current, current[:, rows])
+    assert integrated.size == pytest.approx(np.abs(voltage).mean())
     for k in range(2):
         padded = np.concatenate([np.full(3, current[k, 0]), current[k]])
-        # the mean of the cubic through four samples, over its last interval
+        # Mean of the cubic through four samples over its last interval.
         cubics = (np.polyint(np.polyfit(range(4), padded[n : n + 4], 3)) for n in range(30))
         mean = np.array([np.polyval(cubic, 3) - np.polyval(cubic, 2) for cubic in cubics])
         signs = inverter_direction(np.stack([mean.real, mean.imag], 1), 0.3) @ [1, 1j]
-        integrals = [(found.voltage, voltage[k]), (found.charge, mean), (found.inverter, signs)]
-        for got, values in integrals:
-            total = np.array([H * values[1 : n + 1].sum() for n in at])
-            np.testing.assert_allclose(got[k], total, atol=1e-15)
+        integrals = [
+            (integrated.voltage, voltage[k]),
+            (integrated.charge, mean),
+            (integrated.inverter, signs),
+        ]
+        for result, values in integrals:
+            total = np.array([H * values[1 : n + 1].sum() for n in rows])
+            np.testing.assert_allclose(result[k], total, atol=1e-15)
 
 
 def circles(centre, slope, radius=0.4):
@@ -68,21 +72,20 @@ def circles(centre, slope, radius=0.4):
 def test_the_start_is_exact_on_circles():
     centre, slope = np.array([0.1 + 2j, -3.0]), np.array([2.0 - 1j, 0.5j])
     y, t = circles(centre, slope)
-    first, drift, misfit = _start(y, t)
+    first, drift, misfit = _initial_flux(y, t)
     np.testing.assert_allclose(first[:, 0], centre)
     np.testing.assert_allclose(drift[:, 0], slope, atol=1e-9)
     assert misfit < 1e-20
 
 
-def test_the_misfit_of_what_is_no_circle():
-    """Mean square of |x|² less its fit by all that is linear in the products, over |x|⁴: an ellipse
-    has the same whatever its size and place."""
+def test_the_misfit_of_an_ellipse():
+    """Mean squared residual of the linear fit of |x|², over |x|⁴; scale and offset cancel."""
     y, t = circles(np.zeros(2), np.zeros(2))
     ellipse = y.real + 0.9j * y.imag
-    misfit = _start(ellipse, t)[2]
+    misfit = _initial_flux(ellipse, t)[2]
     assert 1e-5 < misfit < 5e-3
-    assert _start(1e3 * ellipse + 7j, t)[2] == pytest.approx(misfit)
-    # by minimisation over the same unknowns
+    assert _initial_flux(1e3 * ellipse + 7j, t)[2] == pytest.approx(misfit)
+    # The same by least squares over the same unknowns.
     losses, squares = [], []
     for z in ellipse:
         z, s = z - z.mean(), t[0] / t[0, -1]
@@ -94,42 +97,42 @@ def test_the_misfit_of_what_is_no_circle():
 
 
 def record(machine, i_dq=2 + 3j, inverter=0.0, noise=0.0, speeds=(200.0, -300.0, 120.0)):
-    """Rows whose flux turns at constant speed, integrated exactly."""
+    """Return integrated rows of a flux that rotates at constant speed, exactly."""
     t = np.tile(H * np.arange(600.0), (len(speeds), 1))
     theta = np.array(speeds)[:, None] * t + np.arange(len(speeds))[:, None]
     turn = np.exp(1j * theta)
-    # a different operating point for each, so that all parameters show
+    # A different operating point for each segment identifies all parameters.
     i = i_dq * np.linspace(0.4, 1, len(speeds))[:, None] * turn
     L_d, L_q = machine.L_dq
-    own = machine.magnet_flux or 0.0
+    magnet_flux = machine.magnet_flux or 0.0
     if machine.saturation is None:
         dq = i / turn
-        flux = (own + L_d * dq.real + 1j * L_q * dq.imag) * turn
+        flux = (magnet_flux + L_d * dq.real + 1j * L_q * dq.imag) * turn
     else:
         flux = machine.saturation.table.flux(i / turn) * turn
     charge = (i / (1j * np.array(speeds)[:, None])) - (i / (1j * np.array(speeds)[:, None]))[:, :1]
-    sign = np.conj(turn) * H  # any signal that none of the others is
+    sign = np.conj(turn) * H  # any signal unlike the others
     sign = np.cumsum(sign, axis=1) - sign[:, :1]
     size = 100.0
     voltage = flux - flux[:, :1] + machine.R_s * charge + inverter * size * sign
-    at = positions(600)
+    rows = paired_rows(600)
     i = i + noise * (RNG.standard_normal(i.shape) + 1j * RNG.standard_normal(i.shape))
-    cut = [values[:, at] for values in (t, i, voltage, charge, sign)]
-    return SegmentRows(*cut, size), turn[:, at], flux[:, :1]
+    cut = [values[:, rows] for values in (t, i, voltage, charge, sign)]
+    return SegmentRows(*cut, size), turn[:, rows], flux[:, :1]
 
 
 @pytest.mark.parametrize("machine", [PMSM, IPM, SYNRM, example("ipm-5kw6")])
-def test_the_right_parameters_leave_nothing(machine):
+def test_right_parameters_leave_no_residual(machine):
     data, turn, _ = record(machine)
     fit = RelationResidual(machine, data, 0.0).fit(TIGHT, np.zeros(4))
     assert fit.share < 2e-3
     np.testing.assert_allclose(fit.values, 0.0, atol=0.02)
-    off = np.angle(fit.position / turn)
-    off = off if machine.magnets else np.angle((fit.position / turn) ** 2) / 2
-    assert np.abs(off).max() < 0.02
+    error = np.angle(fit.position / turn)
+    error = error if machine.magnets else np.angle((fit.position / turn) ** 2) / 2
+    assert np.abs(error).max() < 0.02
 
 
-def test_parameters_that_are_off():
+def test_wrong_parameters_are_found():
     data, _, _ = record(PMSM, inverter=0.03)
     scaled = PMSM.with_values(R_s=PMSM.R_s / 1.1, L_s=PMSM.L_s / 0.95, psi_f=PMSM.psi_f / 1.05)
     loose = Prior(np.zeros(4), 1e-6 * np.eye(4))
@@ -138,104 +141,111 @@ def test_parameters_that_are_off():
     np.testing.assert_allclose(fit.values, values, atol=2e-3)
 
 
-def full_step(at, found, prior):
-    """Gauss-Newton step in all unknowns at once: λ₀ and θ of each stretch, then the parameters."""
-    P, M, _ = found.columns.shape
+def full_step(relation, point, prior):
+    """Return the Gauss-Newton step in all unknowns: λ₀ and θ of each segment, then parameters."""
+    P, M, _ = point.columns.shape
     n = 4 * P + 4
     J, r = np.zeros((P * M, n)), np.zeros(P * M)
     for p in range(P):
         block = slice(p * M, (p + 1) * M)
-        J[block, 4 * p : 4 * p + 4] = found.columns[p, :, :4]
-        J[block, -4:] = found.columns[p, :, 4:8]
-        r[block] = found.columns[p, :, 8]
+        J[block, 4 * p : 4 * p + 4] = point.columns[p, :, :4]
+        J[block, -4:] = point.columns[p, :, 4:8]
+        r[block] = point.columns[p, :, 8]
     H, g = J.T @ J, J.T @ r
-    tight = 1 / (0.03 * at.data.size)
+    tight = 1 / (0.03 * relation.data.size)
     for p in range(P):
-        for k, drift in ((2, found.drift[p].real), (3, found.drift[p].imag)):
+        for k, drift in ((2, point.drift[p].real), (3, point.drift[p].imag)):
             H[4 * p + k, 4 * p + k] += tight**2
             g[4 * p + k] += tight * drift
     H[-4:, -4:] += prior.precision
-    g[-4:] += prior.precision @ found.off
+    g[-4:] += prior.precision @ point.deviation
     return np.linalg.solve(H, -g), np.linalg.inv(H)[-4:, -4:]
 
 
 def point(machine, prior=TIGHT):
     data, _, _ = record(machine, noise=0.05)
-    at = RelationResidual(machine, data, 0.05)
+    relation = RelationResidual(machine, data, 0.05)
     values = np.array([0.05, -0.04, 0.03, 0.01])
     shape = (len(data.t), 1)
     rng = np.random.default_rng(2)
     first = np.full(shape, 0.2) + 0.1 * rng.standard_normal(shape)
     slope = 0.3 * rng.standard_normal(shape) + 0.2j
-    return at, values, at._evaluate(values, first, slope, machine.magnet_flux or 0.4, prior), slope
+    return (
+        relation,
+        values,
+        relation._linearise(values, first, slope, machine.magnet_flux or 0.4, prior),
+        slope,
+    )
 
 
 @pytest.mark.parametrize("machine", [PMSM, IPM])
-def test_a_step_is_that_of_the_whole_system(machine):
+def test_a_step_equals_that_of_the_whole_system(machine):
     prior = Prior(np.array([0.1, 0.0, -0.1, 0.02]), TIGHT.precision + 3)
-    at, _, found, _ = point(machine, prior)
-    step, (first, slope) = at._step(found, prior)
-    whole, covariance = full_step(at, found, prior)
+    relation, _, linearised, _ = point(machine, prior)
+    step, (first, slope) = relation._step(linearised, prior)
+    whole, covariance = full_step(relation, linearised, prior)
     np.testing.assert_allclose(step, whole[-4:], rtol=1e-5)
     moves = whole[:-4].reshape(-1, 4)
     np.testing.assert_allclose(first[:, 0], moves[:, 0] + 1j * moves[:, 1], rtol=1e-4)
     np.testing.assert_allclose(slope[:, 0], moves[:, 2] + 1j * moves[:, 3], rtol=1e-4)
-    found_covariance = np.linalg.inv(at._information(found)[0] + prior.precision)
-    np.testing.assert_allclose(found_covariance, covariance, rtol=1e-4, atol=1e-12)
+    covariance_of_step = np.linalg.inv(relation._information(linearised)[0] + prior.precision)
+    np.testing.assert_allclose(covariance_of_step, covariance, rtol=1e-4, atol=1e-12)
 
 
 def test_the_cost_of_a_point():
-    """Drift in shares of 3 % of the voltage; parameters by the prior."""
+    """The distance is that of the drift, over 3 % of the voltage, and of the parameters."""
     prior = Prior(np.array([0.1, 0.0, -0.1, 0.02]), TIGHT.precision)
-    at, values, found, slope = point(PMSM, prior)
-    drift = np.sum(np.abs(slope / (0.03 * at.data.size)) ** 2)
-    off = values - prior.mean
-    assert found.cost - found.misfit == pytest.approx(drift + off @ prior.precision @ off)
+    relation, values, linearised, slope = point(PMSM, prior)
+    drift = np.sum(np.abs(slope / (0.03 * relation.data.size)) ** 2)
+    deviation = values - prior.mean
+    assert linearised.cost - linearised.misfit == pytest.approx(
+        drift + deviation @ prior.precision @ deviation
+    )
     psi = PMSM.psi_f * np.exp(values[PSI])
-    residual = np.abs(found.position) - psi
-    size = np.sqrt(np.mean(np.abs(found.position) ** 2))
-    assert found.share == pytest.approx(
+    residual = np.abs(linearised.position) - psi
+    size = np.sqrt(np.mean(np.abs(linearised.position) ** 2))
+    assert linearised.share == pytest.approx(
         np.sqrt(np.mean(np.minimum(abs(residual), size) ** 2)) / size
     )
 
 
 @pytest.mark.parametrize("name", ["ipm-5kw6", "ipm-2kw2", "pmsm-2kw2"])
-def test_how_the_length_answers(name):
-    """The derivatives by the flux and by the inductances, by differences."""
+def test_derivatives_of_the_length(name):
+    """The derivatives by flux and inductances equal finite differences."""
     machine = example(name)
     data, _, start = record(machine)
-    at = RelationResidual(machine, data, 0.0)
+    relation = RelationResidual(machine, data, 0.0)
     psi = machine.magnet_flux
-    values = np.zeros(4) if at.table else np.array([0.0, 0.05, 0.0, 0.0])
-    flux = at._integral(values) + start
+    values = np.zeros(4) if relation.table else np.array([0.0, 0.05, 0.0, 0.0])
+    flux = relation._integral(values) + start
 
     def length(flux, values):
-        position = at._position(flux, values, psi)
-        return np.abs(position.x) - position.grown
+        position = relation._position(flux, values, psi)
+        return np.abs(position.x) - position.from_current
 
-    position = at._position(flux, values, psi)
+    position = relation._position(flux, values, psi)
     small = 1e-6
-    for change, got in ((1, position.to_flux.real), (1j, position.to_flux.imag)):
+    for change, derivative in ((1, position.to_flux.real), (1j, position.to_flux.imag)):
         slope = (length(flux + small * change, values) - length(flux, values)) / small
-        np.testing.assert_allclose(got, slope, atol=0.06 if at.table else 1e-4)
+        np.testing.assert_allclose(derivative, slope, atol=0.06 if relation.table else 1e-4)
     more = values + small * np.eye(4)[L]
     slope = (length(flux, more) - length(flux, values)) / small
-    tolerance = (0.06 if at.table else 1e-4) * np.abs(slope).max()
+    tolerance = (0.06 if relation.table else 1e-4) * np.abs(slope).max()
     np.testing.assert_allclose(position.by_scale, slope, atol=tolerance)
 
 
-@pytest.mark.parametrize(("turned", "known"), [(88.0, False), (92.0, True)])
-def test_less_than_a_quarter_of_a_turn_tells_nothing(turned, known):
-    data, _, _ = record(PMSM, speeds=(np.radians(turned) / (599 * H),) * 3)
+@pytest.mark.parametrize(("degrees", "known"), [(88.0, False), (92.0, True)])
+def test_less_than_a_quarter_turn_gives_no_position(degrees, known):
+    data, _, _ = record(PMSM, speeds=(np.radians(degrees) / (599 * H),) * 3)
     fit = RelationResidual(PMSM, data, 0.0).fit(TIGHT, np.zeros(4))
     assert np.isfinite(fit.share) == np.isfinite(fit.misfit) == known
 
 
-def test_a_fit_is_a_minimum_and_the_inverter_takes_no_less_than_nothing():
+def test_a_fit_is_a_minimum_with_an_inverter_voltage_of_at_least_zero():
     data, _, _ = record(PMSM, inverter=-0.02, noise=0.05)
-    at = RelationResidual(PMSM, data, 0.05)
-    fit = at.fit(TIGHT, np.zeros(4))
+    relation = RelationResidual(PMSM, data, 0.05)
+    fit = relation.fit(TIGHT, np.zeros(4))
     assert fit.values[INVERTER] == 0.0
     assert np.all(fit.std[[R, L, PSI, INVERTER]] <= [0.2501, 0.1508, 0.0801, 0.1001])
-    again = at.fit(TIGHT, fit.values)
-    assert again.misfit + again.distance == pytest.approx(fit.misfit + fit.distance, abs=0.02)
+    refit = relation.fit(TIGHT, fit.values)
+    assert refit.misfit + refit.distance == pytest.approx(fit.misfit + fit.distance, abs=0.02)

@@ -1,5 +1,7 @@
-"""Every usual mistake, by `check` and by `estimate`, with a true angle and without: the cause is
-named, or the log cannot tell; nothing else is blamed."""
+"""Every usual mistake, by `check` and `estimate`, with and without a true angle.
+
+The cause is named, or the log cannot identify it; nothing else is blamed.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from fluxobs import RecordError, check, estimate
 from fluxobs.machines import example
 from support.records import COURSE_TIME, PMSM, course
 
-ROWS = slice(1, -1)  # the first voltage and the last are not known
+ROWS = slice(1, -1)  # the first and last voltages are unknown
 SAMPLES = course()
 THETA = np.mod(SAMPLES.theta, 2 * np.pi)
 LAYOUT = {"frame": "abc", "lag": -1}
@@ -21,13 +23,13 @@ AXES = np.exp(2j * np.pi / 3 * np.arange(3))
 
 
 def _columns():
-    """Three phases, and voltages that act one sample later."""
+    """Return columns of three phases, with voltages that act one sample later."""
     u, i = (getattr(SAMPLES, name) @ [1, 1j] for name in ("voltage", "current"))
     u = np.concatenate([u[2:], u[-1:], u[-1:]])
-    out = {"t": np.arange(len(u)) * COURSE_TIME, "angle": THETA}
+    columns = {"t": np.arange(len(u)) * COURSE_TIME, "angle": THETA}
     for name, axis in zip("abc", AXES, strict=True):
-        out[f"u_{name}"], out[f"i_{name}"] = (u * axis.conj()).real, (i * axis.conj()).real
-    return {name: values[ROWS] for name, values in out.items()}
+        columns[f"u_{name}"], columns[f"i_{name}"] = (u * axis.conj()).real, (i * axis.conj()).real
+    return {name: values[ROWS] for name, values in columns.items()}
 
 
 GOOD = _columns()
@@ -46,15 +48,15 @@ def phases(what, change):
 
 
 def dq(angle):
-    """The same record in the rotor's frame, with a column for its angle."""
+    """Return the same record in rotor coordinates, with a column of the rotor angle."""
     theta = SAMPLES.theta
     i = SAMPLES.current @ [1, 1j] * np.exp(-1j * theta)
     middle = np.concatenate([theta[:1], (theta[1:] + theta[:-1]) / 2])
     u = SAMPLES.voltage @ [1, 1j] * np.exp(-1j * middle)
     u = np.concatenate([u[1:], u[-1:]])
-    out = {"t": np.arange(len(u)) * COURSE_TIME, "angle": THETA, "theta_e": angle}
-    out |= {"u_d": u.real, "u_q": u.imag, "i_d": i.real, "i_q": i.imag}
-    return {name: values[ROWS] for name, values in out.items()}
+    columns = {"t": np.arange(len(u)) * COURSE_TIME, "angle": THETA, "theta_e": angle}
+    columns |= {"u_d": u.real, "u_q": u.imag, "i_d": i.real, "i_q": i.imag}
+    return {name: values[ROWS] for name, values in columns.items()}
 
 
 def spiked():
@@ -75,13 +77,14 @@ AS_ALPHABETA = {
 } | {"t": GOOD["t"]}
 ONLY_TRUTH = "Only a true angle"
 
-#: What is wrong, machine, layout: what is said without a true angle, what with it (None: the same).
+#: Changed columns, machine, layout; text expected without and with a true angle. None: no finding,
+#: or with a true angle the same text.
 CASES = {
     "nothing": ({}, PMSM, {}, None, None),
     "current's phases shifted": (permuted("i", "bca"), PMSM, {}, r"shifted by one \(c a b\)", None),
     "both pairs exchanged": (permuted("iu", "acb"), PMSM, {}, ONLY_TRUTH, "turns against"),
-    "lag 0": ({}, PMSM, {"lag": 0}, r"Would fit as well: .*-1", "with --lag -1"),
-    "lag +1": ({}, PMSM, {"lag": 1}, r"Would fit as well: .*-1", "with --lag -1"),
+    "lag 0": ({}, PMSM, {"lag": 0}, r"Fits equally well: .*-1", "with --lag -1"),
+    "lag +1": ({}, PMSM, {"lag": 1}, r"Fits equally well: .*-1", "with --lag -1"),
     "psi_f x 7": ({}, PMSM.with_values(psi_f=7 * PMSM.psi_f), {}, r"psi_f .* 0\.545 Wb fits", None),
     "psi_f x 1000": ({}, PMSM.with_values(psi_f=545), {}, r"psi_f .* 0\.545 Wb fits", None),
     "psi_f / 10": ({}, PMSM.with_values(psi_f=0.0545), {}, r"psi_f .* 0\.545 Wb fits", None),
@@ -104,13 +107,13 @@ CASES = {
     "L / 2": ({}, PMSM.with_values(L_s=0.018), {}, r"inductances .* L_s = 0\.0[34]\d* H", None),
     "currents in mA": (
         *(phases("i", lambda x: 1000 * x), PMSM, {}),
-        r"scale of the currents is off: multiply them by about 0\.00(1|099)",
+        r"scale of the currents is wrong: multiply them by about 0\.00(1|099)",
         None,
     ),
     "line voltages": (LINE, PMSM, {}, "line to line", None),
     "poles for pairs": (
         *({"angle": np.unwrap(GOOD["angle"]) / 3}, PMSM.with_values(n_p=6), {"mech": True}),
-        *(ONLY_TRUTH, "n_p is 6, and 3 would fit"),
+        *(ONLY_TRUTH, "n_p is 6, but 3 would fit"),
     ),
     "zero off by 10": ({"angle": GOOD["angle"] + 0.175}, PMSM, {}, None, r"zero .* off by -9|-10"),
     "zero off by 40": ({"angle": GOOD["angle"] + 0.698}, PMSM, {}, None, r"zero .* off by -39|-40"),
@@ -127,7 +130,7 @@ CASES = {
     "a reluctance machine": ({}, example("synrm-6kw7"), {}, "one with a magnet does", None),
     "angle in degrees": (
         *(dq(np.degrees(THETA)), PMSM, {"frame": "dq", "lag": 0, "unit": {"theta_e": "rad"}}),
-        *("theta_e wraps at 360: it seems not to be in radians", None),
+        *("theta_e wraps at 360: it is probably not in radians", None),
     ),
     "dq as it should be": (dq(THETA), PMSM, {"frame": "dq", "lag": 0}, None, None),
     "duty in counts": (
@@ -140,71 +143,72 @@ CASES = {
     ),
     "counts about zero": (
         *(phases("i", lambda x: np.round(100 * x)), PMSM, {}),
-        *(r"scale of the currents is off: multiply them by about 0\.0(1|099)", None),
+        *(r"scale of the currents is wrong: multiply them by about 0\.0(1|099)", None),
     ),
     "spikes": (spiked(), PMSM, {}, r"single rows .*i_a: 4\d", None),
     "frame forgotten": (AS_ALPHABETA, PMSM, {"frame": "alphabeta"}, r"\(--frame abc\)", None),
 }
 
 
-def case(name, told):
-    changed, machine, layout, silent, truth = CASES[name]
+def case(name, with_truth):
+    changed, machine, layout, without_truth, text_with_truth = CASES[name]
     layout = LAYOUT | layout
     channel = "theta_mech" if layout.pop("mech", False) else "theta_e"
     columns = GOOD | changed if layout["frame"] in ("abc", "duty") else {"angle": GOOD["angle"]}
     columns = columns | changed
-    layout["truth"] = {channel: "angle"} if told else {"none": "-"}
-    words = truth if told and truth is not None else silent
-    return columns, machine, layout, words
+    layout["truth"] = {channel: "angle"} if with_truth else {"none": "-"}
+    message = text_with_truth if with_truth and text_with_truth is not None else without_truth
+    return columns, machine, layout, message
 
 
 def cases(quick):
-    """(name, told) of every case, the slow ones marked."""
+    """Return (name, with_truth) of every case, with marks on the slow ones."""
     return [
         pytest.param(
             name,
-            told,
-            id=f"{name}-{'with' if told else 'without'} truth",
-            marks=() if quick(name, told) else pytest.mark.slow,
+            with_truth,
+            id=f"{name}-{'with' if with_truth else 'without'} truth",
+            marks=() if quick(name, with_truth) else pytest.mark.slow,
         )
         for name in CASES
-        for told in (False, True)
+        for with_truth in (False, True)
     ]
 
 
-# Where a true angle changes nothing that is said, one of the two is quick.
+# Where a true angle does not change the text, one of the two is quick.
 @pytest.mark.parametrize(
-    ("name", "told"), cases(lambda name, told: not told or CASES[name][-1] is not None)
+    ("name", "with_truth"),
+    cases(lambda name, with_truth: not with_truth or CASES[name][-1] is not None),
 )
-def test_check(name, told):
-    columns, machine, layout, words = case(name, told)
+def test_check(name, with_truth):
+    columns, machine, layout, message = case(name, with_truth)
     found = check(columns, machine, **layout)
-    if words is None:
+    if message is None:
         assert found.sound, str(found)
         return
-    assert re.search(words, str(found)), str(found)
-    told_by_it = words == ONLY_TRUTH or words.startswith("Would fit")
-    assert found.sound == told_by_it, str(found)
-    # Nothing else is blamed: what is not as given is what the case is about.
+    assert re.search(message, str(found)), str(found)
+    ambiguous = message == ONLY_TRUTH or message.startswith("Fits equally")
+    assert found.sound == ambiguous, str(found)
+    # Only the mistake of this case is blamed.
     blamed = [str(finding) for finding in found.mistakes]
-    assert all(re.search(words, text) for text in blamed[:1]), blamed
+    assert all(re.search(message, text) for text in blamed[:1]), blamed
 
 
-#: `estimate` runs the same search; some cases show that it prints what that finds.
+#: `estimate` runs the same search; a few cases check that it prints the findings.
 QUICK = ("nothing", "both pairs exchanged", "lag 0", "R_s x 2", "truth not in radians", "i_a twice")
 
 
-@pytest.mark.parametrize(("name", "told"), cases(lambda name, told: name in QUICK))
-def test_estimate(name, told):
-    columns, machine, layout, words = case(name, told)
+@pytest.mark.parametrize(("name", "with_truth"), cases(lambda name, with_truth: name in QUICK))
+def test_estimate(name, with_truth):
+    columns, machine, layout, message = case(name, with_truth)
     try:
-        said = str(estimate(columns, machine, **layout))
+        text = str(estimate(columns, machine, **layout))
     except (RecordError, fluxobs.FluxobsError) as error:
-        said = str(error)
-    if words is None:
-        assert "NOT as given" not in said
-    elif words == ONLY_TRUTH or words.startswith("Would fit"):
-        assert "NOT as given" not in said
-        assert "Not told by the log" in said
+        text = str(error)
+    if message is None:
+        assert "NOT as given" not in text
+    elif message == ONLY_TRUTH or message.startswith("Fits equally"):
+        assert "NOT as given" not in text
+        assert "cannot be identified" in text or "ambiguous" in text
     else:
-        assert re.search(words, said), said
+        assert re.search(message, text), text

@@ -1,4 +1,4 @@
-"""`fluxobs campaign`: from a specification to a report, and one scenario again."""
+"""`fluxobs campaign`: from a specification to a report, and the rerun of a scenario."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ observer = "adaptive"
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A campaign that met its limit."""
+    """Folder of a campaign that met its limit."""
     folder = tmp_path_factory.mktemp("campaign")
     (folder / "trial.toml").write_text(SPECIFICATION)
     run = fluxobs(
@@ -59,7 +59,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_what_is_written(done):
+def test_files_written(done):
     out = done / "out"
     rows = pl.read_parquet(out / "rows" / "*.parquet")
     assert len(rows) == 48
@@ -76,7 +76,7 @@ def test_what_is_written(done):
     assert sum(int(line.split(",")[1]) - int(line.split(",")[0]) for line in times) == 24
 
 
-def test_what_is_done_is_not_done_again(done):
+def test_finished_scenarios_are_not_repeated(done):
     out = done / "out"
     before = {path: path.stat().st_mtime_ns for path in (out / "rows").iterdir()}
     run = fluxobs("campaign", out, folder=done)
@@ -88,18 +88,20 @@ def test_a_missed_limit_is_exit_code_1(done):
     from fluxobs.campaigns import open_dataset
     from fluxobs.cli.commands.campaign import MISSED, _show
 
-    found = open_dataset(done / "out")
-    hard = [found.specification.limits[0].model_copy(update={"good": 1.0, "observer": "plain"})]
-    found.specification.limits[:] = hard
-    rows = found.rows().with_columns(rms=pl.lit(1.0))
-    for path in (found.folder / "rows").iterdir():
+    dataset = open_dataset(done / "out")
+    stricter = [
+        dataset.specification.limits[0].model_copy(update={"good": 1.0, "observer": "plain"})
+    ]
+    dataset.specification.limits[:] = stricter
+    rows = dataset.rows().with_columns(rms=pl.lit(1.0))
+    for path in (dataset.folder / "rows").iterdir():
         saved = path.read_bytes()
         rows.write_parquet(path)
-        assert _show(found) == MISSED
+        assert _show(dataset) == MISSED
         path.write_bytes(saved)
 
 
-def test_a_scenario_again(done, tmp_path):
+def test_a_scenario_is_rerun(done, tmp_path):
     out = done / "out"
     run = fluxobs(
         *("campaign", out, "--rerun", "17", "--observer", "adaptive"),
@@ -111,32 +113,44 @@ def test_a_scenario_again(done, tmp_path):
     row = rows.filter((pl.col("number") == 17) & (pl.col("observer") == "adaptive"))
     assert re.search(rf"^rms +{row['rms'][0]:.6g}$", run.stdout, re.MULTILINE)
     assert "<html" in (tmp_path / "r.html").read_text()[:1000]
-    again = fluxobs(
+    estimated = fluxobs(
         *("estimate", tmp_path / "r.parquet", "--machine", "servo-400w"),
         *("--truth", "theta_e=theta_e"),
         folder=tmp_path,
     )
-    assert again.returncode == 0, again.stderr
-    assert "against the true angle" in again.stdout
+    assert estimated.returncode == 0, estimated.stderr
+    assert "against the true angle" in estimated.stdout
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         (["campaign", "{folder}/trial.toml"], "--out FOLDER is missing"),
         (["campaign", "{folder}/trial.toml", "--rerun", "3"], "give the folder of the campaign"),
         (["campaign", "{folder}/out", "--rerun", "24"], "no scenario 24; give 0 to 23"),
         (["campaign", "{folder}/out", "--rerun", "2", "--observer", "ekf"], "plain, adaptive"),
-        (["campaign", "{folder}/out", "--rerun", "2", "--out", "x"], "--out is for other than"),
-        (["campaign", "{folder}/out", "--rerun", "2", "--budget", "99"], "--budget is for other"),
-        (["campaign", "{folder}/out", "--search", "worst", "--workers", "2"], "--workers is for"),
-        (["campaign", "{folder}/out", "--search", "worst", "--force"], "--force is for other"),
-        (["campaign", "{folder}/out", "--force"], "--force is for --rerun NUMBER"),
-        (["campaign", "{folder}/out", "--report", "r.html"], "--report is for --rerun NUMBER"),
-        (["campaign", "{folder}/out", "--machine", "x"], "--machine is for --search"),
+        (
+            ["campaign", "{folder}/out", "--rerun", "2", "--out", "x"],
+            "--out cannot be combined with",
+        ),
+        (
+            ["campaign", "{folder}/out", "--rerun", "2", "--budget", "99"],
+            "--budget cannot be combined",
+        ),
+        (
+            ["campaign", "{folder}/out", "--search", "worst", "--workers", "2"],
+            "--workers cannot be",
+        ),
+        (
+            ["campaign", "{folder}/out", "--search", "worst", "--force"],
+            "--force cannot be combined",
+        ),
+        (["campaign", "{folder}/out", "--force"], "--force works only with --rerun"),
+        (["campaign", "{folder}/out", "--report", "r.html"], "--report works only with --rerun"),
+        (["campaign", "{folder}/out", "--machine", "x"], "--machine works only with --search"),
         (["campaign", "{folder}/out", "--search", "best"], "worst or failures"),
         (["campaign", "{folder}/out", "--search", "worst", "--machine", "x"], "no machine"),
-        (["campaign", "{folder}/out", "--out", "x"], "is the folder of the results already"),
+        (["campaign", "{folder}/out", "--out", "x"], "is already the folder of the results"),
         (["campaign", "{folder}"], "holds no campaign"),
         (["campaign", "{folder}/trial.toml", "--out", "o\udce9"], "not UTF-8"),
         (["campaign", "{folder}/other.toml", "--out", "{folder}/out"], "its name, seed differ"),
@@ -147,37 +161,34 @@ def test_a_scenario_again(done, tmp_path):
         ),
     ],
 )
-def test_mistakes(done, arguments, words):
+def test_unusable_options_are_named(done, arguments, message):
     (done / "other.toml").write_text(SPECIFICATION.replace('name = "trial"', "seed = 5"))
     (done / "ekf.toml").write_text(SPECIFICATION.replace('"adaptive"', '"ekf"'))
-    run = fluxobs(*(one.format(folder=done) for one in arguments), folder=done)
+    run = fluxobs(*(argument.format(folder=done) for argument in arguments), folder=done)
     assert run.returncode == 2
-    assert words in run.stderr
+    assert message in run.stderr
 
 
 @pytest.fixture
 def copy(done, tmp_path) -> Path:
-    """A finished campaign of a machine file, to be spoilt."""
+    """Copy of the finished campaign, to be damaged."""
     shutil.copytree(done / "out", tmp_path / "out")
     return tmp_path / "out"
 
 
 @pytest.mark.slow
-def test_a_spoilt_file_is_named_with_the_remedy(copy, tmp_path):
+def test_a_damaged_file_is_named_with_the_remedy(copy, tmp_path):
     rows = sorted((copy / "rows").iterdir())[0]
-    whole = rows.read_bytes()
-    for spoilt in (b"", whole[:-7], whole[:100] + bytes(100) + whole[200:]):
-        rows.write_bytes(spoilt)
+    intact = rows.read_bytes()
+    for damaged in (b"", intact[:-7], intact[:100] + bytes(100) + intact[200:]):
+        rows.write_bytes(damaged)
         run = fluxobs("campaign", copy, folder=tmp_path)
         assert run.returncode == 2
         assert f"delete it; `fluxobs campaign {copy}`" in run.stderr
     pl.DataFrame({"x": [1]}).write_parquet(rows)
-    assert (
-        "its columns differ from the campaign's"
-        in fluxobs("campaign", copy, folder=tmp_path).stderr
-    )
-    for spoilt in ("{", "[]", "{}", '{"fluxobs": "1", "chunk": 0}'):
-        (copy / "campaign.json").write_text(spoilt)
+    assert "its columns are not those of rows" in fluxobs("campaign", copy, folder=tmp_path).stderr
+    for damaged in ("{", "[]", "{}", '{"fluxobs": "1", "chunk": 0}'):
+        (copy / "campaign.json").write_text(damaged)
         run = fluxobs("campaign", copy, folder=tmp_path)
         assert run.returncode == 2
         assert re.search(r"campaign\.json: (cannot be read|is damaged)", run.stderr)
@@ -186,18 +197,18 @@ def test_a_spoilt_file_is_named_with_the_remedy(copy, tmp_path):
 @pytest.mark.slow
 def test_rows_that_were_deleted_are_computed_again(copy, tmp_path):
     rows = sorted((copy / "rows").iterdir())[0]
-    whole = rows.read_bytes()
+    intact = rows.read_bytes()
     rows.unlink()
     (copy / "rows" / "mine.parquet").write_bytes(b"")
     assert fluxobs("campaign", copy, folder=tmp_path).returncode == 0
-    assert rows.read_bytes() == whole
+    assert rows.read_bytes() == intact
 
 
-def test_what_cannot_be_repeated_can_still_be_read(copy, tmp_path):
-    place = copy / "campaign.json"
-    told = json.loads(place.read_text())
-    told["machines"] = {"servo-400w": "0123456789abcdef"}  # as it was then
-    place.write_text(json.dumps(told))
+def test_a_campaign_that_cannot_be_repeated_can_be_read(copy, tmp_path):
+    path = copy / "campaign.json"
+    facts = json.loads(path.read_text())
+    facts["machines"] = {"servo-400w": "0123456789abcdef"}  # hash of an older machine file
+    path.write_text(json.dumps(facts))
     run = fluxobs("campaign", copy, folder=tmp_path)
     assert run.returncode == 0
     assert "Warning: its rows cannot be repeated: servo-400w changed." in run.stderr
@@ -210,7 +221,7 @@ def test_what_cannot_be_repeated_can_still_be_read(copy, tmp_path):
     assert "holds another campaign (servo-400w changed)" in run.stderr
 
 
-def test_only_what_estimate_runs_has_a_report(copy, tmp_path):
+def test_only_observers_of_estimate_have_a_report(copy, tmp_path):
     text = (copy / "campaign.json").read_text()
     (copy / "campaign.json").write_text(text.replace('"kind": "plain"', '"kind": "ekf"'))
     run = fluxobs("campaign", copy, "--rerun", "3", "--report", "r.html", folder=tmp_path)
@@ -218,7 +229,7 @@ def test_only_what_estimate_runs_has_a_report(copy, tmp_path):
     assert "plain or adaptive, or give --record" in run.stderr
 
 
-def test_nothing_could_be_simulated(tmp_path):
+def test_no_scenario_could_be_simulated(tmp_path):
     course = "[course]\nload = [[0.0, 50.0]]"
     (tmp_path / "s.toml").write_text(SPECIFICATION.partition("[[")[0].replace("[course]", course))
     run = fluxobs(
@@ -230,7 +241,7 @@ def test_nothing_could_be_simulated(tmp_path):
 
 
 @pytest.mark.slow
-def test_ctrl_c_keeps_what_is_done(tmp_path):
+def test_ctrl_c_keeps_finished_scenarios(tmp_path):
     (tmp_path / "s.toml").write_text(SPECIFICATION.replace("24", "24000"))
     command = [sys.executable, "-m", "fluxobs", "campaign", tmp_path / "s.toml"]
     running = subprocess.Popen(
@@ -238,13 +249,13 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
-    end = time.monotonic() + 120
-    while not list(tmp_path.glob("o/rows/*.parquet")) and time.monotonic() < end:
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob("o/rows/*.parquet")) and time.monotonic() < deadline:
         time.sleep(0.1)
     running.send_signal(signal.SIGINT)
-    asked = time.monotonic()
-    _, told = running.communicate(timeout=30)
+    interrupted = time.monotonic()
+    _, stderr = running.communicate(timeout=30)
     assert running.returncode == 130
-    assert "the same command goes on" in told
-    assert time.monotonic() - asked < 5
+    assert "the same command resumes" in stderr
+    assert time.monotonic() - interrupted < 5
     assert list(tmp_path.glob("o/rows/*.parquet"))

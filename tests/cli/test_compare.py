@@ -15,11 +15,11 @@ from support.records import steady
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("compare")
-    rows = 12000  # as many as the scenario below: observers are compiled for both at once
+    rows = 12000  # as many as the scenario below, so that JAX compiles the observers once
     data = steady(example("pmsm-2kw2"), 1.25e-4, 300.0, rows, 4j, 0.2, 2.0, noise=0.02, theta0=0.0)
     columns = {
         "t": np.arange(rows) * 1.25e-4,
-        # Logged with the row from which it acts.
+        # Each row holds the voltage that acts from it to the next.
         "u_alpha": np.append(data.voltage[1:, 0], 0.0),
         "u_beta": np.append(data.voltage[1:, 1], 0.0),
         "i_alpha": data.current[:, 0],
@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
     return path
 
 
-def test_the_list_needs_nothing_else(folder):
+def test_list_needs_no_other_argument(folder):
     done = fluxobs("compare", "list", folder=folder)
     assert done.returncode == 0
     assert "low-speed-1 " in done.stdout
@@ -58,12 +58,12 @@ def test_a_log_and_a_scenario(folder):
         assert entry.name in done.stdout
     scores = pl.read_csv(folder / "out" / "scores.csv")
     assert set(scores["record"]) == {"log.csv", "unknown-start"}
-    ours = scores.filter(
+    least_squares = scores.filter(
         (pl.col("record") == "log.csv")
         & (pl.col("observer") == "least squares")
         & (pl.col("gains") == "recommended")
     )
-    assert 0.05 < ours["rms_deg"][0] < 0.15
+    assert 0.05 < least_squares["rms_deg"][0] < 0.15
     for name in ("log.png", "unknown-start.png", "summary.png"):
         assert (folder / "out" / name).stat().st_size > 10_000
 

@@ -1,4 +1,4 @@
-"""The command line by exit code, output and files."""
+"""`fluxobs estimate`: exit codes, output and files."""
 
 import importlib
 import signal
@@ -30,26 +30,27 @@ def folder(tmp_path):
 
 
 def estimate(folder, *more, log="log.csv", out="out.parquet"):
-    given = ("estimate", log, "--machine", "motor.toml", "--out", out, "--force")
-    return fluxobs(*given, *more, folder=folder)
+    arguments = ("estimate", log, "--machine", "motor.toml", "--out", out, "--force")
+    return fluxobs(*arguments, *more, folder=folder)
 
 
-def test_help_reads_well(tmp_path):
+def test_help_is_shown(tmp_path):
     for arguments in ((), ("estimate",), ("demo",), ("machines",)):
         done = fluxobs(*arguments, "--help", folder=tmp_path)
         assert done.returncode == 0
         assert "Usage: fluxobs" in done.stdout
-    assert "electrical radians" in fluxobs("estimate", "--help", folder=tmp_path).stdout
+    text = " ".join(fluxobs("estimate", "--help", folder=tmp_path).stdout.split())
+    assert "electrical radians" in text
 
 
 def test_estimate_writes_rows_summary_and_picture(folder):
     done = estimate(folder, "--truth", "theta_mech=angle", "--report", "report.png")
     assert done.returncode == 0, done.stderr
-    found = pl.read_parquet(folder / "out.parquet")
-    assert found.columns == [*COLUMNS, "theta_e_error"]
-    assert found.height == ROWS
-    assert found["valid"][-1000:].all()
-    assert found["theta_e_error"][-1000:].abs().max() < np.radians(2)
+    estimates = pl.read_parquet(folder / "out.parquet")
+    assert estimates.columns == [*COLUMNS, "theta_e_error"]
+    assert estimates.height == ROWS
+    assert estimates["valid"][-1000:].all()
+    assert estimates["theta_e_error"][-1000:].abs().max() < np.radians(2)
     assert "valid on 9" in done.stdout
     assert "acts from its row to the next (lag 0)" in done.stdout
     assert "Magnet flux: 12.5 mWb" in done.stdout
@@ -59,7 +60,7 @@ def test_estimate_writes_rows_summary_and_picture(folder):
     assert sorted(path.name for path in folder.iterdir() if "part" in path.name) == []
 
 
-def test_csv_out_and_options_spread_over_one_flag(folder):
+def test_csv_out_and_several_values_after_one_option(folder):
     log = pl.read_csv(folder / "log.csv").rename({"i_alpha": "ia", "i_beta": "ib"})
     log.with_columns(pl.col("ia") * 256).drop("t").write_csv(folder / "log.csv")
     done = estimate(
@@ -70,11 +71,11 @@ def test_csv_out_and_options_spread_over_one_flag(folder):
         out="out.csv",
     )
     assert done.returncode == 0, done.stderr
-    found = pl.read_csv(folder / "out.csv")
-    assert found.columns == COLUMNS
-    assert found.height == 1001
-    assert found["t"][0] == pytest.approx(0.1)
-    assert found["valid"][-100:].all()
+    estimates = pl.read_csv(folder / "out.csv")
+    assert estimates.columns == COLUMNS
+    assert estimates.height == 1001
+    assert estimates["t"][0] == pytest.approx(0.1)
+    assert estimates["valid"][-100:].all()
 
 
 def test_record_file_and_override(folder):
@@ -87,8 +88,8 @@ def test_record_file_and_override(folder):
     assert "(lag 0)" in estimate(folder, "--record", "record.toml", "--lag", "0").stdout
 
 
-def test_streamed_is_the_same_as_one_piece(folder, monkeypatch):
-    """Batches of another size, and another file format, change no number."""
+def test_batch_size_and_format_change_nothing(folder, monkeypatch):
+    """Another batch size and another file format give the same numbers."""
     estimate(folder, out="text.parquet")
     batches = []
 
@@ -101,20 +102,20 @@ def test_streamed_is_the_same_as_one_piece(folder, monkeypatch):
     monkeypatch.setattr(module, "prepare", in_small_batches)
     assert estimate(folder, log="log.parquet", out="cut.parquet").returncode == 0
     assert set(batches) == {137}
-    one, other = (pl.read_parquet(folder / f"{n}.parquet") for n in ("text", "cut"))
-    assert one.equals(other)
+    from_text, from_batches = (pl.read_parquet(folder / f"{n}.parquet") for n in ("text", "cut"))
+    assert from_text.equals(from_batches)
 
 
-def test_what_the_machine_does_not_tell_comes_from_the_record(folder):
+def test_missing_machine_values_come_from_the_log(folder):
     done = estimate(folder, out="full.parquet")
     lines = (folder / "motor.toml").read_text().splitlines()
     kept = [line for line in lines if not line.startswith(("psi_f", "rated_current"))]
     (folder / "motor.toml").write_text("\n".join(kept))
     done = estimate(folder, out="bare.parquet")
     assert done.returncode == 0, done.stderr
-    one, other = (pl.read_parquet(folder / f"{n}.parquet") for n in ("full", "bare"))
-    assert other["valid"][-2000:].all()
-    difference = np.angle(np.exp(1j * (one["theta_e"] - other["theta_e"]).to_numpy()))
+    full, bare = (pl.read_parquet(folder / f"{n}.parquet") for n in ("full", "bare"))
+    assert bare["valid"][-2000:].all()
+    difference = np.angle(np.exp(1j * (full["theta_e"] - bare["theta_e"]).to_numpy()))
     assert np.abs(difference[-2000:]).max() < np.radians(0.01)
 
 
@@ -123,15 +124,15 @@ def test_wrong_magnet_flux_is_noticed_and_harmless(folder, factor):
     text = (folder / "motor.toml").read_text()
     (folder / "motor.toml").write_text(text.replace("psi_f = 0.0125", f"psi_f = {factor * 0.0125}"))
     done = estimate(folder, "--truth", "theta_mech=angle")
-    assert "psi_f in the machine file is off: 0.012" in done.stdout
-    found = pl.read_parquet(folder / "out.parquet")
-    assert found["valid"][-2000:].all()
-    assert found["theta_e_error"][-2000:].abs().max() < np.radians(2)
+    assert "psi_f in the machine file is wrong: 0.012" in done.stdout
+    estimates = pl.read_parquet(folder / "out.parquet")
+    assert estimates["valid"][-2000:].all()
+    assert estimates["theta_e_error"][-2000:].abs().max() < np.radians(2)
 
 
 def test_slow_sampling_is_warned_about(folder):
-    every = pl.read_csv(folder / "log.csv").gather_every(20)  # 6.3 samples a period
-    every.write_csv(folder / "log.csv")
+    decimated = pl.read_csv(folder / "log.csv").gather_every(20)  # 6.3 samples a period
+    decimated.write_csv(folder / "log.csv")
     done = estimate(folder)
     assert "samples per electrical period" in done.stdout
     assert "Hz or more" in done.stdout
@@ -164,7 +165,7 @@ def test_truth_in_degrees_is_noticed(folder):
     assert "Warning" not in scaled.stdout
 
 
-def test_a_rounded_time_column_is_read_and_said(folder):
+def test_a_rounded_time_column_is_read_and_reported(folder):
     log = pl.read_csv(folder / "log.csv").with_columns(pl.col("t").round(3))
     log.write_csv(folder / "log.csv")
     done = estimate(folder)
@@ -173,7 +174,7 @@ def test_a_rounded_time_column_is_read_and_said(folder):
     assert "0.4 s at 10000 Hz" in done.stdout
 
 
-def test_a_short_log_is_called_short(folder):
+def test_a_short_log_is_reported(folder):
     done = estimate(folder, "--to", "0.003")
     assert done.returncode == 3  # no row is valid
     assert "too short to settle" in done.stdout
@@ -182,10 +183,10 @@ def test_a_short_log_is_called_short(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_interrupted_leaves_nothing(folder, name):
+def test_an_interrupted_run_leaves_no_file(folder, name):
     log = pl.read_parquet(folder / "log.parquet")
-    many = pl.concat([log] * 800).with_columns(t=pl.int_range(pl.len()) * H)
-    many.write_parquet(folder / "log.parquet")
+    long = pl.concat([log] * 800).with_columns(t=pl.int_range(pl.len()) * H)
+    long.write_parquet(folder / "log.parquet")
     before = sorted(folder.iterdir())
     command = [sys.executable, "-m", "fluxobs", "estimate", "log.parquet"]
     command += ["--machine", "motor.toml", "--out", "out.parquet"]
@@ -273,7 +274,7 @@ def test_failure_in_the_middle_leaves_the_old_file(folder):
     assert not list(folder.glob(".*"))
 
 
-def test_machines_lists_the_shipped_ones(tmp_path):
+def test_machines_lists_the_shipped_machines(tmp_path):
     done = fluxobs("machines", folder=tmp_path)
     assert done.returncode == 0
     assert "servo-400w" in done.stdout

@@ -1,4 +1,4 @@
-"""`fluxobs estimate` for levitated bodies and current bias: by exit code, output and files."""
+"""`fluxobs estimate` for levitated bodies and current bias: exit codes, output and files."""
 
 import subprocess
 import sys
@@ -15,25 +15,25 @@ from support.records import steady
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Levitation, 12 s at 500 Hz with 0.1 mA and 1 mV of noise, and a reluctance motor."""
+    """Logs of a levitation (12 s at 500 Hz, noise 0.1 mA and 1 mV) and of a reluctance motor."""
     path = tmp_path_factory.mktemp("logs")
-    given, machine = record(SCENARIOS["S5"], quick=True), example("maglev-knospe")
-    step, rows = 2, 6000
-    at = np.arange(rows + 1) * step
-    sums = np.cumsum(given.volt_seconds, axis=0)[at]
-    h, current = step * given.h, given.current
-    # Mean voltage of the interval from each row on: what a drive commands.
-    mean = np.array([current[a : a + step + 1].mean(axis=0) for a in at[:-1]])
+    scenario, machine = record(SCENARIOS["S5"], quick=True), example("maglev-knospe")
+    decimation, rows = 2, 6000
+    indices = np.arange(rows + 1) * decimation
+    sums = np.cumsum(scenario.volt_seconds, axis=0)[indices]
+    h, current = decimation * scenario.h, scenario.current
+    # Mean voltage from each row to the next, as a drive commands it.
+    mean = np.array([current[a : a + decimation + 1].mean(axis=0) for a in indices[:-1]])
     voltage = (np.diff(sums, axis=0) / h + mean @ machine.R.T) @ np.linalg.inv(machine.B.T)
     noise = np.random.default_rng(1).standard_normal((2, rows, 2))
-    voltage, measured = voltage + 1e-3 * noise[0], current[at[:-1]] + 1e-4 * noise[1]
+    voltage, measured = voltage + 1e-3 * noise[0], current[indices[:-1]] + 1e-4 * noise[1]
     columns = {
-        "t": given.t[at[:-1]],
+        "t": scenario.t[indices[:-1]],
         "u_1": voltage[:, 0],
         "u_2": voltage[:, 1],
         "i_1": measured[:, 0],
         "i_2": measured[:, 1],
-        "y": given.trajectory.position[at[:-1], 0],
+        "y": scenario.trajectory.position[indices[:-1], 0],
     }
     pl.DataFrame(columns).write_csv(path / "maglev.csv")
     samples = steady(
@@ -65,15 +65,15 @@ def test_levitation_from_a_log(folder):
     assert done.returncode == 0, done.stderr
     assert "Unknowns: drift; memory 0.15 s" in done.stdout
     assert "µm rms" in done.stdout
-    found = pl.read_parquet(folder / "out.parquet")
-    assert found.columns == [
+    estimates = pl.read_parquet(folder / "out.parquet")
+    assert estimates.columns == [
         *("t", "flux_1", "flux_2", "flux_1_std", "flux_2_std", "position", "position_std"),
         *("drift_1", "drift_2", "noise_share", "valid", "position_error"),
     ]
-    assert len(found) == 6000
-    valid = found.filter("valid")
-    assert len(valid) > 0.8 * len(found)
-    # 330 µm of gap; biases of currents alone make some µm.
+    assert len(estimates) == 6000
+    valid = estimates.filter("valid")
+    assert len(valid) > 0.8 * len(estimates)
+    # The gap is 330 µm; current biases alone cause an error of some µm.
     assert np.sqrt((valid["position_error"] ** 2).mean()) < 8e-6
     assert (folder / "report.png").stat().st_size > 10_000
 
@@ -85,9 +85,9 @@ def test_current_bias_of_a_levitation(folder):
         folder=folder,
     )
     assert done.returncode == 0, done.stderr
-    # 8 µm of current bias against a gap of 330: this log cannot tell, and it says so.
-    assert "Current bias: not identifiable." in done.stdout
-    assert "use --unknowns drift, which ignores the bias" in done.stdout
+    # The bias moves the position by 8 µm in a gap of 330 µm: too little to identify.
+    assert "Current bias: not seen." in done.stdout
+    assert "--unknowns drift ignores it" in done.stdout
     names = pl.read_csv(folder / "bias.csv").columns
     assert {"current_bias_1", "current_bias_2", "current_bias_1_std"} <= set(names)
 
@@ -99,9 +99,11 @@ def test_current_bias_of_a_reluctance_machine(folder):
         folder=folder,
     )
     assert done.returncode == 3, done.stderr  # no row is valid
-    found = pl.read_parquet(folder / "synrm-out.parquet")
-    assert {"theta_e", "theta_e_std", "current_bias_alpha", "theta_e_error"} <= set(found.columns)
-    assert np.abs(found["theta_e_error"][-500:]).max() < np.radians(3)
+    estimates = pl.read_parquet(folder / "synrm-out.parquet")
+    assert {"theta_e", "theta_e_std", "current_bias_alpha", "theta_e_error"} <= set(
+        estimates.columns
+    )
+    assert np.abs(estimates["theta_e_error"][-500:]).max() < np.radians(3)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +138,7 @@ def test_bad_options_end_with_2_and_leave_nothing(folder, arguments, message):
     assert not (folder / "bad.parquet").exists()
 
 
-def test_what_cannot_be_told_apart_is_refused_with_its_direction(folder):
+def test_unidentifiable_unknowns_are_refused_with_their_direction(folder):
     done = fluxobs(
         *("estimate", "synrm.parquet", "--machine", "servo-400w", "--out", "bad.parquet"),
         *("--unknowns", "drift,current-bias"),
@@ -159,8 +161,8 @@ def test_machine_file_of_a_levitation(tmp_path):
     assert "R is missing" not in done.stderr
 
 
-def test_without_the_design_extra_reproduce_says_what_to_install(tmp_path):
-    """JAX hidden: estimate works, reproduce ends with the remedy."""
+def test_without_jax_reproduce_says_what_to_install(tmp_path):
+    """With JAX hidden, reproduce names the extra to install."""
     script = (
         "import sys, importlib.util as u\n"
         "find = u.find_spec\n"

@@ -1,4 +1,4 @@
-"""estimate with resistance and inverter among the unknowns, by exit code, output and files."""
+"""`fluxobs estimate` with resistance and inverter as unknowns: exit codes, output and files."""
 
 import polars as pl
 import pytest
@@ -34,13 +34,13 @@ def estimate(folder, *more, machine="motor.toml"):
     return fluxobs("estimate", *arguments, folder=folder)
 
 
-def test_columns_summary_picture_and_the_way_into_firmware(folder):
-    given = ("--unknowns", "drift,resistance,inverter", "--prior", "psi_f=0.02")
-    done = estimate(folder, *given, "--report", "report.png")
+def test_columns_summary_picture_and_export_command(folder):
+    options = ("--unknowns", "drift,resistance,inverter", "--prior", "psi_f=0.02")
+    done = estimate(folder, *options, "--report", "report.png")
     assert done.returncode == 0, done.stderr
-    found = pl.read_parquet(folder / "out.parquet")
-    assert found.columns == [*COLUMNS[:-3], *FURTHER, *COLUMNS[-3:]]
-    last = found.row(-1, named=True)
+    estimates = pl.read_parquet(folder / "out.parquet")
+    assert estimates.columns == [*COLUMNS[:-3], *FURTHER, *COLUMNS[-3:]]
+    last = estimates.row(-1, named=True)
     assert last["resistance"] == pytest.approx(1.3 * PMSM.R_s, rel=0.05)
     assert last["inverter_voltage"] == pytest.approx(6.0, rel=0.2)
     assert abs(last["resistance"] - 1.3 * PMSM.R_s) < 4 * last["resistance_std"]
@@ -59,7 +59,7 @@ def test_the_plain_observer_warns_and_names_the_option(folder):
     assert "--unknowns auto" in done.stdout
 
 
-def test_by_default_the_log_decides(folder):
+def test_by_default_the_log_decides_the_unknowns(folder):
     done = estimate(folder)
     assert done.returncode == 0
     assert "Warning" not in done.stdout
@@ -75,20 +75,20 @@ def test_by_default_the_log_decides(folder):
 
 
 @pytest.mark.parametrize(
-    ("to", "code", "words"),
+    ("to", "code", "message"),
     [
         ("0.12", 3, "too short to settle: at least 5 memories"),
         ("0.2", 0, "Not identifiable from this log: resistance"),
     ],
 )
-def test_what_a_short_log_tells_is_said(folder, to, code, words):
+def test_a_short_log_is_reported(folder, to, code, message):
     done = estimate(folder, "--unknowns", "drift,resistance", "--to", to)
     assert done.returncode == code
-    assert words in done.stdout
+    assert message in done.stdout
 
 
 @pytest.mark.parametrize(
-    ("more", "words"),
+    ("more", "message"),
     [
         (("--unknowns", "drift,resistanc"), "did you mean 'resistance'"),
         (("--unknowns", "resistance"), "drift,resistance"),
@@ -105,22 +105,22 @@ def test_what_a_short_log_tells_is_said(folder, to, code, words):
         (("--unknowns", "drift,resistance", "--prior", "psi_f=much"), "not a number"),
     ],
 )
-def test_nonsense_is_refused(folder, more, words):
+def test_unusable_options_are_refused(folder, more, message):
     (folder / "out.parquet").unlink(missing_ok=True)
     failed = estimate(folder, *more)
     assert failed.returncode == 2
-    assert words in failed.stderr
+    assert message in failed.stderr
     assert not (folder / "out.parquet").exists()
 
 
 def test_a_machine_without_a_magnet_has_no_magnet_flux(folder):
-    given = ("--unknowns", "drift,resistance", "--prior", "psi_f=0.1")
-    failed = estimate(folder, *given, machine="synrm.toml")
+    options = ("--unknowns", "drift,resistance", "--prior", "psi_f=0.1")
+    failed = estimate(folder, *options, machine="synrm.toml")
     assert failed.returncode == 2
     assert "no magnets" in failed.stderr
 
 
-def test_saves_what_was_learnt(folder):
+def test_learnt_parameters_are_saved(folder):
     done = estimate(folder, "--save-machine", "learnt.toml")
     assert done.returncode == 0, done.stderr
     learnt = read_machine(folder / "learnt.toml")
@@ -131,8 +131,8 @@ def test_saves_what_was_learnt(folder):
     again = estimate(folder, machine="learnt.toml")
     assert again.returncode == 0, again.stderr
     assert "Warning" not in again.stdout
-    given = ("estimate", "log.parquet", "--machine", "motor.toml", "--out", "new.parquet")
-    refused = fluxobs(*given, "--save-machine", "learnt.toml", folder=folder)
+    arguments = ("estimate", "log.parquet", "--machine", "motor.toml", "--out", "new.parquet")
+    refused = fluxobs(*arguments, "--save-machine", "learnt.toml", folder=folder)
     assert refused.returncode == 2
     assert not (folder / "new.parquet").exists()
     assert "exists" in refused.stderr

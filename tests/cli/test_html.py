@@ -1,4 +1,4 @@
-"""What commands write for a browser: reports, and the page itself."""
+"""HTML files that commands write: reports and the page."""
 
 import re
 
@@ -11,8 +11,8 @@ from support.cli import fluxobs
 LOG = demo_log().path
 
 
-def stands_alone(text):
-    """A document that asks for nothing from elsewhere."""
+def check_self_contained(text):
+    """Check that a document loads nothing from elsewhere."""
     assert text.startswith("<!doctype html>")
     assert not re.findall(r'(?:src|href)="(?!data:)', text)
     assert "default-src 'none'" in text
@@ -24,8 +24,8 @@ def test_estimate_writes_a_report(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "Written: r.html" in done.stdout
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
-    stands_alone(text)
-    assert "0.07° rms" in text
+    check_self_contained(text)
+    assert "position error 0.07° rms" in text
     again = fluxobs(*run, folder=tmp_path)
     assert again.returncode == 2
     assert "r.html" in again.stderr
@@ -37,7 +37,7 @@ def test_estimate_writes_a_report(tmp_path):
 def test_the_page_is_written_once(tmp_path):
     done = fluxobs("page", "--out", "p.html", folder=tmp_path)
     assert done.returncode == 0, done.stderr
-    stands_alone((tmp_path / "p.html").read_text(encoding="utf-8"))
+    check_self_contained((tmp_path / "p.html").read_text(encoding="utf-8"))
     assert (tmp_path / "p.html").stat().st_size < 400_000
     assert fluxobs("page", "--out", "p.html", folder=tmp_path).returncode == 2
     wrong = fluxobs("page", "--out", "p.txt", folder=tmp_path)
@@ -46,20 +46,20 @@ def test_the_page_is_written_once(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("command", "words"),
+    ("command", "text_in_report"),
     [
         (("check", LOG, "--machine", "servo-400w"), "winding temperature"),
         (("identify", LOG, "--machine", "servo-400w", "--out", "f.toml"), "inverter"),
     ],
 )
-def test_check_and_identify_write_html(tmp_path, command, words):
+def test_check_and_identify_write_html(tmp_path, command, text_in_report):
     done = fluxobs(*command, "--report", "r.html", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
-    stands_alone(text)
-    assert words in text
+    check_self_contained(text)
+    assert text_in_report in text
 
 
-def test_words_of_a_log_are_words():
-    evil = "<script>alert(1)</script>"
-    assert "<script>" not in document(evil, paragraph(evil))
+def test_markup_in_a_log_is_escaped():
+    markup = "<script>alert(1)</script>"
+    assert "<script>" not in document(markup, paragraph(markup))

@@ -1,4 +1,4 @@
-"""`fluxobs live` in the terminal, and its mistakes; its page is in tests/page."""
+"""`fluxobs live` in the terminal and its error messages; tests/page tests its page."""
 
 import re
 import signal
@@ -31,13 +31,13 @@ def test_a_pipe_in_the_terminal_and_its_recording(tmp_path):
     assert f"fluxobs estimate {saved} --machine servo-400w" in out
 
 
-def test_ctrl_c_ends_the_demo_as_it_should(tmp_path):
+def test_ctrl_c_ends_the_demo(tmp_path):
     saved = tmp_path / "demo.csv"
     running = subprocess.Popen(
         [*LIVE, "--demo", "--text", "--save", saved], stdout=subprocess.PIPE, text=True
     )
-    end = time.monotonic() + 60
-    while not saved.exists() and time.monotonic() < end:
+    deadline = time.monotonic() + 60
+    while not saved.exists() and time.monotonic() < deadline:
         time.sleep(0.05)
     time.sleep(1.5)
     running.send_signal(signal.SIGINT)
@@ -48,7 +48,7 @@ def test_ctrl_c_ends_the_demo_as_it_should(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "message"),
     [
         ([], "SOURCE or --demo"),
         (["x.csv", "--demo"], "SOURCE or --demo"),
@@ -59,36 +59,36 @@ def test_ctrl_c_ends_the_demo_as_it_should(tmp_path):
         (["--demo", "--text", "--unknowns", "sped"], "sped"),
     ],
 )
-def test_mistakes_end_with_a_remedy(tmp_path, arguments, words):
+def test_errors_name_a_remedy(tmp_path, arguments, message):
     (tmp_path / "there.csv").write_text("mine")
     done = fluxobs("live", *arguments, folder=tmp_path)
     assert done.returncode == 2
-    assert words in done.stderr
+    assert message in done.stderr
     assert (tmp_path / "there.csv").read_text() == "mine"
 
 
-def test_the_log_itself_is_no_place_for_the_recording(tmp_path):
+def test_the_log_cannot_be_its_own_recording(tmp_path):
     log = tmp_path / "log.csv"
     log.write_bytes(LOG.read_bytes())
-    given = ["log.csv", "--machine", "servo-400w", "--save", "log.csv", "--force"]
-    done = fluxobs("live", *given, folder=tmp_path)
+    arguments = ["log.csv", "--machine", "servo-400w", "--save", "log.csv", "--force"]
+    done = fluxobs("live", *arguments, folder=tmp_path)
     assert done.returncode == 2
     assert "one of the inputs" in done.stderr
     assert log.read_bytes() == LOG.read_bytes()
 
 
-def test_the_second_run_of_one_name_harms_no_recording(tmp_path):
-    given = [*LIVE, "-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv"]
+def test_a_second_run_does_not_overwrite_a_recording(tmp_path):
+    command = [*LIVE, "-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     lines = LOG.read_bytes().splitlines(keepends=True)
-    with subprocess.Popen(given, **pipes) as first:
+    with subprocess.Popen(command, **pipes) as first:
         first.stdin.write(b"".join(lines[:3000]))
         first.stdin.flush()
-        end = time.monotonic() + 60
-        while not (tmp_path / "run.csv").exists() and time.monotonic() < end:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "run.csv").exists() and time.monotonic() < deadline:
             time.sleep(0.05)
-        for more in ([], ["--force"]):
-            done = fluxobs(*given[3:], *more, folder=tmp_path)
+        for options in ([], ["--force"]):
+            done = fluxobs(*command[3:], *options, folder=tmp_path)
             assert done.returncode == 2
             assert "Written" not in done.stdout
         out, err = first.communicate(b"".join(lines[3000:]), timeout=120)
@@ -97,23 +97,25 @@ def test_the_second_run_of_one_name_harms_no_recording(tmp_path):
     assert (tmp_path / "run.csv").read_bytes() == LOG.read_bytes()
 
 
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_to_end_loses_nothing_that_came(tmp_path, end):
-    rows = LOG.read_bytes().split(b"\n", 1)[1][:4000]  # it takes so few at once
-    given = [*LIVE, "-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv"]
-    with subprocess.Popen(given, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as running:
+@pytest.mark.parametrize("signal_number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_loses_no_received_data(tmp_path, signal_number):
+    rows = LOG.read_bytes().split(b"\n", 1)[1][
+        :4000
+    ]  # small enough that live reads them as one chunk
+    command = [*LIVE, "-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as running:
         running.stdin.write(rows)
         running.stdin.flush()
         while b"waiting" not in running.stdout.readline():
             pass
-        running.send_signal(end)
+        running.send_signal(signal_number)
         running.stdin.close()
         running.wait(timeout=60)
     assert [path.name for path in tmp_path.iterdir()] == ["run.raw"]
     assert (tmp_path / "run.raw").read_bytes() == rows
 
 
-def test_a_stream_without_names_says_which_option_gives_them(tmp_path):
+def test_without_column_names_the_option_is_named(tmp_path):
     rows = LOG.read_bytes().split(b"\n", 1)[1]
     done = subprocess.run(
         [*LIVE, "-", "--machine", "servo-400w", "--text"], input=rows, capture_output=True
@@ -122,7 +124,7 @@ def test_a_stream_without_names_says_which_option_gives_them(tmp_path):
     assert b"--header" in done.stderr
 
 
-def test_what_came_before_there_were_rows_is_kept_as_it_came(tmp_path):
+def test_data_without_rows_are_saved_unchanged(tmp_path):
     rows = LOG.read_bytes().split(b"\n", 1)[1]
     done = subprocess.run(
         [*LIVE, "-", "--machine", "servo-400w", "--text", "--save", tmp_path / "run.csv"],
@@ -131,6 +133,6 @@ def test_what_came_before_there_were_rows_is_kept_as_it_came(tmp_path):
         timeout=120,
     )
     assert done.returncode == 2
-    assert "run.raw, as it came" in done.stdout.decode()
+    assert "run.raw, unchanged" in done.stdout.decode()
     assert (tmp_path / "run.raw").read_bytes() == rows
     assert not (tmp_path / "run.csv").exists()

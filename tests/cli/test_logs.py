@@ -1,4 +1,4 @@
-"""Logs on the command line: what a newcomer gets wrong, and what the program then says."""
+"""Logs on the command line: mistakes of newcomers and the messages they get."""
 
 import json
 import os
@@ -30,7 +30,7 @@ def estimate(folder, *more, log="log.csv"):
     return fluxobs("estimate", log, *MACHINE, "--out", "out.parquet", *more, folder=folder)
 
 
-def test_channels_lists_what_is_there(folder):
+def test_channels_lists_the_columns(folder):
     done = fluxobs("channels", "log.csv", folder=folder)
     assert done.returncode == 0
     for word in ("u_alpha", "5000", "truth theta_e"):
@@ -40,8 +40,8 @@ def test_channels_lists_what_is_there(folder):
     assert facts["channels"][0]["sample_time"] == pytest.approx(2e-4)
 
 
-def test_names_are_shown_as_they_are(folder):
-    """[mA] is no markup, and no name commands the terminal."""
+def test_names_are_shown_literally(folder):
+    """[mA] is not markup, and control characters do not reach the terminal."""
     names = ["t", "i_alpha [mA]", "[/x]", "x\x1b]0;title\x07"]
     rows = ["0,1,2,3", "0.001,2,3,4", "0.002,3,4,5"]
     (folder / "x.csv").write_text("\n".join([",".join(names), *rows]) + "\n")
@@ -57,7 +57,7 @@ def test_names_are_shown_as_they_are(folder):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
 def test_any_name_of_a_log_is_read_and_shown(folder):
-    """No text, a formula, a command to the terminal, the end of a comment."""
+    """Bytes that are no text, a formula, a terminal escape, a line break."""
     log = os.fsdecode(b"\x1b[31m$\\frac$\ncaf\xe9.csv")
     shown = "\\x1b[31m$\\frac$\ncaf\\xe9.csv"
     (folder / log).write_text(DEMO.head(2500).write_csv())
@@ -71,7 +71,7 @@ def test_any_name_of_a_log_is_read_and_shown(folder):
     facts = json.loads(fluxobs("estimate", log, *read, "--json", folder=folder).stdout)
     assert facts["rows"] == 2500
     assert facts["written"] == [f"{log}.csv"]
-    (folder / log).write_text(DEMO.head(1000).write_csv())  # the rest takes longer
+    (folder / log).write_text(DEMO.head(1000).write_csv())  # the other commands take longer
     for arguments in (
         ("check", *given, "--report", "check.svg"),
         ("identify", *given, "--out", "found.toml", "--report", "identify.html"),
@@ -86,7 +86,7 @@ def test_any_name_of_a_log_is_read_and_shown(folder):
     assert f"{shown}gone: no such file" in done.stderr
 
 
-def test_channels_of_a_file_that_says_nothing(folder):
+def test_channels_of_a_file_without_telling_names(folder):
     DEMO.rename(dict(zip(DEMO.columns, "ABCDEF", strict=True))).write_csv(folder / "x.csv")
     done = fluxobs("channels", "x.csv", folder=folder)
     assert done.returncode == 0
@@ -98,7 +98,7 @@ def test_the_first_command_needs_a_log_and_a_machine(folder):
     done = fluxobs("estimate", "log.csv", *MACHINE, folder=folder)
     assert done.returncode == 0
     assert "The position is valid on 99.0% of the rows" in done.stdout
-    assert "The estimates are not written: --out FILE.parquet" in done.stdout
+    assert "The estimates are not saved; to save them, add --out FILE.parquet" in done.stdout
     assert set(folder.iterdir()) == before
 
 
@@ -114,7 +114,7 @@ def test_presets_are_listed_and_printed(folder):
     assert "did you mean 'vesc-sampled'" in unknown.stderr
 
 
-def test_nothing_is_overwritten_without_force(folder):
+def test_no_file_is_overwritten_without_force(folder):
     assert estimate(folder).returncode == 0
     before = (folder / "out.parquet").stat().st_mtime_ns
     again = estimate(folder)
@@ -138,7 +138,7 @@ def test_nothing_is_overwritten_without_force(folder):
 
 
 @pytest.mark.parametrize("command", ["estimate", "identify"])
-def test_what_is_made_while_a_command_runs_is_kept(folder, monkeypatch, command):
+def test_a_file_created_during_a_run_is_kept(folder, monkeypatch, command):
     import fluxobs as library
 
     run = getattr(library, command)
@@ -167,8 +167,8 @@ def test_quiet_and_json(folder):
     assert facts["parameters"]["resistance"]["value"] == pytest.approx(0.36, rel=0.02)
     assert facts["error"]["rms"] < np.radians(0.2)
     assert facts["written"] == ["out.parquet"]
-    found = json.loads(fluxobs("check", "log.csv", *MACHINE, "--json", folder=folder).stdout)
-    assert found["sound"]
+    checked = json.loads(fluxobs("check", "log.csv", *MACHINE, "--json", folder=folder).stdout)
+    assert checked["sound"]
     done = fluxobs("identify", "log.csv", *MACHINE, "--out", "m.toml", "--json", folder=folder)
     assert json.loads(done.stdout)["parameters"]["R_s"]["std"] > 0
 
@@ -190,11 +190,11 @@ def test_machine_new(folder):
         folder=folder,
     )
     assert done.returncode == 0, done.stderr
-    assert "K_t is assumed to be rms" in done.stdout
-    found = fluxobs(
+    assert "K_t is taken as rms" in done.stdout
+    estimated = fluxobs(
         *("estimate", "log.csv", "--machine", "new.toml", "--out", "e.parquet"), folder=folder
     )
-    assert found.returncode == 0, found.stderr
+    assert estimated.returncode == 0, estimated.stderr
     wrong = fluxobs("machine", "new", "--out", "w.toml", "--set", "kvv=900", folder=folder)
     assert wrong.returncode == 2
     assert "did you mean 'kv'" in wrong.stderr
@@ -202,21 +202,21 @@ def test_machine_new(folder):
 
 @pytest.mark.parametrize("command", ["estimate", pytest.param("check", marks=pytest.mark.slow)])
 def test_control_c_says_where_it_stopped(folder, command):
-    many = pl.concat([DEMO] * 400).with_columns(t=pl.int_range(pl.len()) * 2e-4)
-    many.write_parquet(folder / "long.parquet")
+    long = pl.concat([DEMO] * 400).with_columns(t=pl.int_range(pl.len()) * 2e-4)
+    long.write_parquet(folder / "long.parquet")
     out = ("--out", "x.parquet") if command == "estimate" else ()
     arguments = [sys.executable, "-m", "fluxobs", command, "long.parquet", *MACHINE, *out]
     with subprocess.Popen(arguments, cwd=folder, stderr=subprocess.PIPE, text=True) as running:
         time.sleep(3.0)
         running.send_signal(signal.SIGINT)
-        _, said = running.communicate(timeout=60)
+        _, stderr = running.communicate(timeout=60)
     assert running.returncode == 130
-    assert "Stopped by Ctrl-C" in said
-    assert "Traceback" not in said
+    assert "Stopped by Ctrl-C" in stderr
+    assert "Traceback" not in stderr
     assert not (folder / "x.parquet").exists()
 
 
-# ---- what a newcomer gets wrong --------------------------------------------------------------
+# ---- mistakes of newcomers ---------------------------------------------------------------------
 
 PHASES = {
     f"{letter}_{p}": (
@@ -228,7 +228,7 @@ PHASES = {
 T = DEMO["t"].to_numpy()
 
 
-#: A direct current through the winding: the voltage is the resistive drop.
+#: Standstill with direct current: the voltage is the resistive drop.
 NOISE = np.random.default_rng(0).standard_normal((3, 3000))
 STANDING = {"t": T[:3000]}
 for n, p in enumerate("abc"):
@@ -249,7 +249,7 @@ MISTAKES = {
         2,
         'Name them with --header "t,u_a,…"',
     ),
-    "names that say nothing": (
+    "names without meaning": (
         lambda f: csv(f, dict(zip("ABCDEF", DEMO, strict=True))),
         ["new.csv"],
         2,
@@ -267,8 +267,8 @@ MISTAKES = {
         2,
         "no sample time, and no column t. Give --sample-time",
     ),
-    "a unit that is none": (None, ["log.csv", "--unit", "i=amps/s"], 2, "unknown unit"),
-    "a unit of something else": (
+    "an unknown unit": (None, ["log.csv", "--unit", "i=amps/s"], 2, "unknown unit"),
+    "a unit of another quantity": (
         None,
         ["log.csv", "--unit", "i_alpha=V"],
         2,
@@ -337,7 +337,7 @@ MISTAKES = {
         2,
         "time runs backwards",
     ),
-    "a machine that is none": (None, ["log.csv", "--machine", "servo"], 2, "no such machine file"),
+    "a machine mistyped": (None, ["log.csv", "--machine", "servo"], 2, "no such machine file"),
     "files that do not overlap": (
         lambda f: (
             csv(f, {"t": T} | {n: PHASES[n] for n in ("i_a", "i_b")}),
@@ -361,22 +361,22 @@ MISTAKES = {
         ),
         ["log.csv", "--machine", "m.toml", "--truth", "none"],
         0,
-        "n_p, without a true angle",
+        "the direction of rotation and n_p cannot be identified",
     ),
 }
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_newcomer_s_mistake_is_named(folder, name):
-    make, arguments, code, words = MISTAKES[name]
-    if make is not None:
-        make(folder)
+def test_a_newcomers_mistake_is_named(folder, name):
+    write_log, arguments, code, message = MISTAKES[name]
+    if write_log is not None:
+        write_log(folder)
     log, *more = arguments
     machine = () if "--machine" in more else MACHINE
     done = fluxobs("estimate", log, *machine, "--out", "o.parquet", *more, folder=folder)
-    said = " ".join((done.stdout + done.stderr).split())
-    assert words in said, said
-    assert code is None or done.returncode == code, said
-    assert "Traceback" not in said
+    output = " ".join((done.stdout + done.stderr).split())
+    assert message in output, output
+    assert code is None or done.returncode == code, output
+    assert "Traceback" not in output
     if done.returncode == 2:
         assert not (folder / "o.parquet").exists()

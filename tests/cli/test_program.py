@@ -1,4 +1,4 @@
-"""The program around the commands: version, help, names of options, typed use from Python."""
+"""The program as a whole: version, help, option names, exit codes, typed use from Python."""
 
 import subprocess
 import sys
@@ -41,15 +41,15 @@ def test_the_first_screen_shows_an_example():
     assert any("fluxobs estimate LOG.csv --machine motor.toml" in line for line in screen)
 
 
-def test_options_have_the_names_of_the_fields():
-    """A field of the layout is an option and an argument of the same name."""
+def test_options_are_named_like_the_fields():
+    """Every field of the layout is an option with the same name."""
     text = python("fluxobs", "estimate", "--help", env={"COLUMNS": "200", "PATH": ""}).stdout
     for name in Layout.model_fields:
         if name not in ("udc", "note"):  # --column udc=540
             assert f"--{name.replace('_', '-')}" in text, name
 
 
-def test_both_names_of_an_option_do_the_same(tmp_path):
+def test_both_names_of_an_option_are_equivalent(tmp_path):
     tables = []
     for names in (("--column", "--from", "--to"), ("--columns", "--start", "--stop")):
         out = tmp_path / f"{len(tables)}.csv"
@@ -81,7 +81,7 @@ def test_every_command_has_help(tmp_path, command):
 
 
 @pytest.mark.slow
-def test_priors_is_prior(tmp_path):
+def test_priors_is_another_name_of_prior(tmp_path):
     tables = []
     for name in ("--prior", "--priors"):
         out = f"{len(tables)}.parquet"
@@ -96,8 +96,8 @@ def test_priors_is_prior(tmp_path):
 
 
 def test_the_command_and_the_library_give_the_same(tmp_path):
-    given = ("estimate", LOG, "--machine", "servo-400w", "--out", "out.parquet", "--lag", "-1")
-    assert fluxobs(*given, folder=tmp_path).returncode == 0
+    arguments = ("estimate", LOG, "--machine", "servo-400w", "--out", "out.parquet", "--lag", "-1")
+    assert fluxobs(*arguments, folder=tmp_path).returncode == 0
     result = library.estimate(LOG, "servo-400w", lag=-1)
     assert pl.read_parquet(tmp_path / "out.parquet").equals(result.estimates)
 
@@ -105,22 +105,22 @@ def test_the_command_and_the_library_give_the_same(tmp_path):
 def test_exit_codes_of_the_process(tmp_path):
     columns = log_columns(course())
     for name, sign in (("right", 1), ("wrong", -1)):
-        turned = {k: sign * v if k[0] == "i" else v for k, v in columns.items()}
-        pl.DataFrame(turned).write_parquet(tmp_path / f"{name}.parquet")
+        signed = {k: sign * v if k[0] == "i" else v for k, v in columns.items()}
+        pl.DataFrame(signed).write_parquet(tmp_path / f"{name}.parquet")
     machine = ("--machine", "pmsm-2kw2")
     wrong = process("check", "wrong.parquet", *machine, folder=tmp_path)
     assert (wrong.returncode, wrong.stderr) == (1, "")
     assert "NOT as given" in wrong.stdout
-    none = process("check", "none.parquet", *machine, folder=tmp_path)
-    assert (none.returncode, none.stdout) == (2, "")
-    assert none.stderr == "Error: none.parquet: no such file\n"
+    missing = process("check", "none.parquet", *machine, folder=tmp_path)
+    assert (missing.returncode, missing.stdout) == (2, "")
+    assert missing.stderr == "Error: none.parquet: no such file\n"
     usage = process("check", folder=tmp_path)
     assert usage.returncode == 2
     assert "Missing argument" in usage.stderr
 
 
-def test_the_library_is_imported_at_once():
-    """A second import of an interpreter that has everything in its caches: well below a second."""
+def test_the_library_is_imported_quickly():
+    """With warm caches, the import takes well below half a second."""
     script = (
         "import time; start = time.perf_counter()\n"
         "import numpy, pydantic; middle = time.perf_counter()\n"
@@ -165,7 +165,7 @@ if isinstance(machine, fluxobs.SurfacePMSM):
 
 @pytest.mark.slow
 def test_a_user_s_script_is_typed(tmp_path):
-    """mypy, strict, over a script that uses the door: the package says its types (py.typed)."""
+    """mypy --strict accepts a script that uses the public API (py.typed)."""
     (tmp_path / "script.py").write_text(SCRIPT)
     (tmp_path / "wrong.py").write_text(SCRIPT + "\nresult.summry\nfluxobs.estimate(log)\n")
     for name, expected in (("script.py", 0), ("wrong.py", 1)):

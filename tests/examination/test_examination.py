@@ -1,5 +1,5 @@
-"""The page on the drive: what was put into a log is found, within its standard deviation, and a
-good drive is called good."""
+"""Examination of a drive: simulated faults are found within their standard deviations, and a good
+drive passes."""
 
 import json
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.examination.item import Item, judged
+from fluxobs.examination.item import Item, judge
 from fluxobs.machines import example
 from fluxobs.simulation.closed_form.demo import LOG, MACHINE
 
@@ -27,13 +27,13 @@ def three_phases(**changed):
 
 
 def page(columns=GOOD, machine=SERVO, **layout):
-    found = fluxobs.check(columns, machine, **layout)
-    return found, {item.name: item for item in found.items}
+    examination = fluxobs.check(columns, machine, **layout)
+    return examination, {item.name: item for item in examination.items}
 
 
-def test_a_good_drive_is_called_good():
-    found, items = page()
-    assert found.sound
+def test_a_good_drive_passes():
+    examination, items = page()
+    assert examination.sound
     assert {item.verdict for item in items.values()} <= {"fine", "cannot be told"}
     for name, true in (
         ("resistance of a phase", 0.36),
@@ -49,22 +49,22 @@ def test_a_good_drive_is_called_good():
 
 @pytest.mark.slow
 def test_a_warm_winding_and_weak_magnets():
-    """The machine file says what they were when cold and new."""
-    cold, new = 0.36 / (1 + 0.00393 * 90), 0.0125 / 0.85
-    _, items = page(machine=SERVO.with_values(R_s=cold, psi_f=new))
-    heat = items["winding temperature"]
-    assert abs(heat.value - 110) < 3 * heat.std
-    assert heat.std < 5
+    """The machine file holds the values of the cold and new motor."""
+    cold, new_flux = 0.36 / (1 + 0.00393 * 90), 0.0125 / 0.85
+    _, items = page(machine=SERVO.with_values(R_s=cold, psi_f=new_flux))
+    temperature = items["winding temperature"]
+    assert abs(temperature.value - 110) < 3 * temperature.std
+    assert temperature.std < 5
     assert items["magnet flux"].verdict == "look at it"
     assert "demagnetised" in items["magnet flux"].words
     _, hot = page(machine=SERVO.with_values(R_s=0.36 / (1 + 0.00393 * 150)))
     assert hot["winding temperature"].verdict == "look at it"
-    given = fluxobs.check(GOOD, SERVO, cold_resistance=cold)
-    assert abs(next(i for i in given.items if "temperature" in i.name).value - 110) < 8
+    examined = fluxobs.check(GOOD, SERVO, cold_resistance=cold)
+    assert abs(next(i for i in examined.items if "temperature" in i.name).value - 110) < 8
 
 
 def test_offsets_at_rest():
-    """Half a second with the bridge off before the log: noise and the sensors' offsets."""
+    """With the bridge off for half a second, the log starts with noise and sensor offsets."""
     rng = np.random.default_rng(1)
     rest = 2500
     columns = {}
@@ -125,8 +125,8 @@ def test_lost_samples_and_a_slow_logger():
     assert items["missing samples"].value == 4
     assert items["missing samples"].verdict == "look at it"
     slow = {name: values[::6] for name, values in GOOD.items()}
-    found = fluxobs.check(slow, SERVO)
-    period = next((i for i in found.items if i.name == "samples a period"), None)
+    examination = fluxobs.check(slow, SERVO)
+    period = next((i for i in examination.items if i.name == "samples a period"), None)
     assert period is None or period.verdict == "look at it"
 
 
@@ -137,43 +137,43 @@ def test_an_encoder_off_its_axis():
     _, items = page(columns)
     assert items["eccentricity, once a turn"].verdict == "look at it"
     assert items["eccentricity, once a turn"].value == pytest.approx(np.degrees(0.02), rel=0.1)
-    assert items["encoder zero"].verdict == "fine"  # nobody knows it
+    assert items["encoder zero"].verdict == "fine"  # no value is wrong
 
 
-def test_an_encoder_that_stops_is_not_called_eccentric_or_late():
+def test_a_stopped_encoder_is_not_called_eccentric_or_late():
     shaft = np.unwrap(GOOD["theta_e"]) / SERVO.n_p
     shaft[6000:] = shaft[6000]
     columns = {n: v for n, v in GOOD.items() if n != "theta_e"}
     _, items = page(columns | {"encoder_deg": np.degrees(np.mod(shaft, 2 * np.pi))})
-    left = items["what is left against it"]
-    assert left.verdict == "look at it"
-    assert "stands still" in left.words
+    remaining = items["remaining error of the truth"]
+    assert remaining.verdict == "look at it"
+    assert "stands still" in remaining.words
     for name in ("encoder delay", "eccentricity, once a turn"):
         assert items[name].verdict == "cannot be told"
 
 
-def test_what_is_read_wrongly_is_not_examined():
+def test_a_misread_log_is_not_examined():
     columns = GOOD | {"i_beta": GOOD["i_alpha"]}
-    found, items = page(columns)
-    assert not found.sound
+    examination, items = page(columns)
+    assert not examination.sound
     assert items["parameters of the drive"].verdict == "cannot be told"
 
 
 def test_facts_are_json(tmp_path):
-    found, _ = page()
-    facts = json.loads(json.dumps(found.facts))
+    examination, _ = page()
+    facts = json.loads(json.dumps(examination.facts))
     assert facts["sound"] is True
     assert {"name", "verdict", "value", "std", "unit", "words"} == set(facts["items"][0])
-    found.write(tmp_path / "page.png")
+    examination.write(tmp_path / "page.png")
     with pytest.raises(fluxobs.FluxobsError, match="exists"):
-        found.write(tmp_path / "page.png")
+        examination.write(tmp_path / "page.png")
 
 
 def test_verdicts():
-    assert judged(0.5, 0.1, 1.0) == "fine"
-    assert judged(1.5, 0.1, 1.0) == "look at it"
-    assert judged(1.1, 0.1, 1.0) == "fine"  # not beyond it by two standard deviations
-    assert judged(0.5, 0.9, 1.0) == "cannot be told"
-    assert judged(9.0, 0.9, 1.0) == "look at it"
+    assert judge(0.5, 0.1, 1.0) == "fine"
+    assert judge(1.5, 0.1, 1.0) == "look at it"
+    assert judge(1.1, 0.1, 1.0) == "fine"  # not beyond it by two standard deviations
+    assert judge(0.5, 0.9, 1.0) == "cannot be told"
+    assert judge(9.0, 0.9, 1.0) == "look at it"
     assert Item("R", "fine", "", 0.35981, 0.0018, "Ω").told == "0.3598 ± 0.0018 Ω"
     assert Item("n", "fine", "", 4.0, None, "rows").told == "4 rows"

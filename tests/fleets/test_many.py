@@ -334,9 +334,9 @@ def test_the_command(logs, tmp_path):
     assert json.loads(process.stdout)["logs"] == 3
     for arguments, message in (
         (["logs"], "--out FOLDER is missing"),
-        (["logs", "--out", "x.parquet"], "of many logs it is a folder"),
-        (["logs", "--out", "p", "--report", "r.html"], "--report is for one log"),
-        (["logs/a/run_2024-05-01.csv", "--retry", "failed"], "--retry is for many logs"),
+        (["logs", "--out", "x.parquet"], "for many logs, give a folder"),
+        (["logs", "--out", "p", "--report", "r.html"], "--report works only with one log"),
+        (["logs/a/run_2024-05-01.csv", "--retry", "failed"], "--retry works only with many logs"),
         (["logs", "--out", "p", "--retry", "some"], "none, failed or all"),
         (["logs/a/run [1].csv"], "run [1].csv: no such file, and "),
         (["logs/a/run [1].csv", "--out", "p"], "run [1].csv: no such file"),

@@ -1,4 +1,4 @@
-"""Everything that identifications say and show: values, deviations, lines, tables, pictures."""
+"""Complete output of identifications: values, deviations, lines, tables, pictures."""
 
 import numpy as np
 import pytest
@@ -52,21 +52,27 @@ IDENTIFICATIONS = (by_default, all_but_the_map, a_salient_machine, how_it_satura
 
 
 @pytest.mark.parametrize("make", IDENTIFICATIONS, ids=lambda make: make.__name__)
-def test_what_an_identification_says_and_shows(make, tmp_path):
-    found = make()
-    page, _, rest = html_of(found).partition(PICTURE)
-    shown = {
-        "lines": found.lines(),
+def test_output_of_an_identification(make, tmp_path):
+    identification = make()
+    page, _, rest = html_of(identification).partition(PICTURE)
+    output = {
+        "lines": identification.lines(),
         "page": page,
         "alt": rest.partition("alt=")[2],
-        "facts": found.facts,
-        "values": {name: float(value) for name, value in found.after.values.items()},
-        "std": dict(zip(found.after.free, np.sqrt(np.diag(found.after.covariance)), strict=True)),
-        "alike": found.after.alike,
-        "picture": found.plot(),
+        "facts": identification.facts,
+        "values": {name: float(value) for name, value in identification.after.values.items()},
+        "std": dict(
+            zip(
+                identification.after.free,
+                np.sqrt(np.diag(identification.after.covariance)),
+                strict=True,
+            )
+        ),
+        "alike": identification.after.alike,
+        "picture": identification.plot(),
     }
-    if found.map is not None:
-        found.write(tmp_path / "map.csv")
-        shown["table"] = (tmp_path / "map.csv").read_text().splitlines()[::7]
-    # The iteration ends within a share of the deviations, with another rounding elsewhere.
-    check(f"identification/{make.__name__}", shown, share=1e-3)
+    if identification.map is not None:
+        identification.write(tmp_path / "map.csv")
+        output["table"] = (tmp_path / "map.csv").read_text().splitlines()[::7]
+    # The iteration ends within a share of the deviations; rounding differs between computers.
+    check(f"identification/{make.__name__}", output, share=1e-3)

@@ -1,4 +1,4 @@
-"""identify --free map: how a machine saturates, from a log without a position."""
+"""identify --free map: saturation of a machine, from a log without a position."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from support.records import log_columns, profile, white
 
 
 class Exact(SynchronousReluctance):
-    """The reluctance machine itself, not the splines through its map."""
+    """The reluctance machine with its exact map instead of splines."""
 
     def flux_dq(self, current):
         return MODEL.flux(current)
@@ -33,31 +33,34 @@ def log():
 
 
 @pytest.fixture(scope="module")
-def found(log):
+def identified(log):
     return fluxobs.identify(log, START, free="R_s,map")
 
 
-def test_fluxes_in_the_visited_region_and_their_standard_deviations(found):
-    """Asked: 3 %, three standard deviations on 95 %."""
-    assert found.after.converged
-    assert found.machine.R_s == pytest.approx(0.63, rel=0.005)
-    i = (found.map.visited[:, None] * np.array([0.9, 0.95, 1.0])).ravel()
-    i = i[found.map.inside(i)]
-    assert len(i) > 10
-    off, std = found.map.flux(i) - MODEL.flux(i), found.map.flux_std(i)
-    assert np.abs(off).max() < 0.03 * np.abs(MODEL.flux(i)).max()
-    assert np.mean(np.abs(off.real) < 3 * std.real) > 0.95
-    assert np.mean(np.abs(off.imag) < 3 * std.imag) > 0.95
+def test_fluxes_in_the_visited_region_and_their_standard_deviations(identified):
+    """Errors stay below 3 % of the flux, and within three standard deviations at 95 %."""
+    assert identified.after.converged
+    assert identified.machine.R_s == pytest.approx(0.63, rel=0.005)
+    currents = (identified.map.visited[:, None] * np.array([0.9, 0.95, 1.0])).ravel()
+    currents = currents[identified.map.inside(currents)]
+    assert len(currents) > 10
+    error, std = (
+        identified.map.flux(currents) - MODEL.flux(currents),
+        identified.map.flux_std(currents),
+    )
+    assert np.abs(error).max() < 0.03 * np.abs(MODEL.flux(currents)).max()
+    assert np.mean(np.abs(error.real) < 3 * std.real) > 0.95
+    assert np.mean(np.abs(error.imag) < 3 * std.imag) > 0.95
     assert std.real.max() < 0.05
-    assert found.map.inside(10 + 5j)
-    assert not found.map.inside(20 + 5j)
+    assert identified.map.inside(10 + 5j)
+    assert not identified.map.inside(20 + 5j)
 
 
 @pytest.mark.slow
-def test_the_machine_file_and_the_table_serve_the_next_log(found, log, tmp_path):
-    found.write(tmp_path / "found.toml")
-    found.write(tmp_path / "map.csv")
-    found.write(tmp_path / "map.png")
+def test_the_machine_file_and_the_table_can_be_used(identified, log, tmp_path):
+    identified.write(tmp_path / "found.toml")
+    identified.write(tmp_path / "map.csv")
+    identified.write(tmp_path / "map.png")
     by_model = read_machine(tmp_path / "found.toml")
     assert isinstance(by_model.flux_map, AlgebraicSaturation)
     (tmp_path / "table.toml").write_text(
@@ -66,8 +69,8 @@ def test_the_machine_file_and_the_table_serve_the_next_log(found, log, tmp_path)
     )
     by_table = read_machine(tmp_path / "table.toml")
     i = np.array([10 + 5j, 11 + 15j])
-    np.testing.assert_allclose(by_model.flux_dq(i), found.map.flux(i), atol=1e-3)
-    np.testing.assert_allclose(by_table.flux_dq(i), found.map.flux(i), atol=1e-3)
+    np.testing.assert_allclose(by_model.flux_dq(i), identified.map.flux(i), atol=1e-3)
+    np.testing.assert_allclose(by_table.flux_dq(i), identified.map.flux(i), atol=1e-3)
     log = log | {"theta_e": reluctance_record(machine=TRUE).theta}
     result = fluxobs.estimate(log, by_model, unknowns="drift")
     assert not result.warnings
@@ -75,28 +78,28 @@ def test_the_machine_file_and_the_table_serve_the_next_log(found, log, tmp_path)
     assert not check.mistakes
 
 
-def test_the_report_says_what_the_log_visited_and_what_it_does_not_tell(found):
-    text = str(found)
+def test_the_report_names_the_visited_region_and_missing_saturation(identified):
+    text = str(identified)
     assert "Visited: i_d from 7." in text
-    assert "i_d hardly moves in this log: how psi_d saturates is not told" in text
+    assert "i_d hardly changes in this log: the saturation of psi_d cannot be identified" in text
     assert "a_qq = " in text
 
 
-def test_an_unknown_inverter_is_in_the_standard_deviations(log):
+def test_an_unknown_inverter_increases_the_standard_deviations(log):
     machine = START.with_values(inverter_voltage=None, inverter_voltage_std=1.0)
-    found = fluxobs.identify(log, machine, free="R_s,map")
-    std, own = found.map.flux_std(10 + 10j), found.map.flux_std(10 + 10j, own=True)
+    identified = fluxobs.identify(log, machine, free="R_s,map")
+    std, own = identified.map.flux_std(10 + 10j), identified.map.flux_std(10 + 10j, own=True)
     assert std.imag > 1.5 * own.imag
-    assert "inverter_voltage_std" in str(found)
+    assert "inverter_voltage_std" in str(identified)
 
 
-def test_a_machine_with_a_map_tells_resistance_and_not_inductances(log):
+def test_with_a_map_resistance_is_free_but_inductances_are_not(log):
     machine = START.with_values(flux_map=MODEL, L_d=None, L_q=None)
-    found = fluxobs.identify(log, machine, free="R_s")
-    assert found.machine.R_s == pytest.approx(0.63, rel=0.01)
+    identified = fluxobs.identify(log, machine, free="R_s")
+    assert identified.machine.R_s == pytest.approx(0.63, rel=0.01)
     with pytest.raises(FluxobsError, match="has no 'L_d'"):
         fluxobs.identify(log, machine, free="R_s,L_d")
-    with pytest.raises(FluxobsError, match="map has the inductances in it"):
+    with pytest.raises(FluxobsError, match="map already contains the inductances"):
         fluxobs.identify(log, START, free="L_d,map")
     with pytest.raises(FluxobsError, match="has no 'map'"):
         fluxobs.identify(log, MACHINE, free="map")
@@ -121,22 +124,22 @@ def cage_log(psi):
     return log, mechanical[:-1]
 
 
-def test_an_induction_machine_through_every_door(tmp_path):
+def test_an_induction_machine_with_every_function(tmp_path):
     log, mechanical = cage_log(CONSTANT)
     result = fluxobs.estimate(log, "induction-2kw2")
     assert not result.warnings
     assert "Rotor flux" in result.summary
     valid = result["valid"]
-    off = (result["speed_mech"] - mechanical[-len(valid) :])[valid]
-    assert np.sqrt(np.mean(off**2)) < 0.5
+    error = (result["speed_mech"] - mechanical[-len(valid) :])[valid]
+    assert np.sqrt(np.mean(error**2)) < 0.5
     assert {"slip_e", "speed_mech_std", "torque"} < set(result.estimates.columns)
     assert not fluxobs.check(log, "induction-2kw2").mistakes
-    found = fluxobs.identify(log, MACHINE.with_values(R_s=4.4, inverter_voltage_std=0.01))
-    values = {p.name: p for p in found.parameters}
+    identified = fluxobs.identify(log, MACHINE.with_values(R_s=4.4, inverter_voltage_std=0.01))
+    values = {p.name: p for p in identified.parameters}
     assert values["psi_R"].value == pytest.approx(0.9, rel=0.02)
     assert values["R_s"].value == pytest.approx(3.7, rel=0.03)
 
 
-def test_a_moving_rotor_flux_is_no_mistake():
+def test_a_changing_rotor_flux_is_no_mistake():
     log, _ = cage_log(RAMPS)
     assert not fluxobs.check(log, "induction-2kw2").mistakes

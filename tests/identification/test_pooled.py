@@ -1,4 +1,4 @@
-"""One machine from many logs, and the log that disagrees."""
+"""One machine from many logs, and the logs that disagree."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ R_S, PSI_F = 1.1 * PMSM.R_s, 0.97 * PMSM.psi_f
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Six logs of one machine, one of them hot; a steady one; one of another motor; one of none."""
-    place = tmp_path_factory.mktemp("pooled")
+    """Six logs of one motor, one of them hot; a steady one; another motor; a standstill."""
+    path = tmp_path_factory.mktemp("pooled")
 
     def write(name, samples):
-        pl.DataFrame(log_columns(samples)).write_parquet(place / f"{name}.parquet")
+        pl.DataFrame(log_columns(samples)).write_parquet(path / f"{name}.parquet")
 
     for k in range(6):
         R = R_S * (1.2 if k == 5 else 1 + 0.004 * (k - 2))
@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
     write("steady", driven(PMSM, COURSE_TIME, speed, flat, R_s=R_S, psi_f=PSI_F, noise=0.02))
     write("other", course(R_s=R_S, psi_f=0.8 * PMSM.psi_f, inverter=4.0))
     write("still", driven(PMSM, COURSE_TIME, 0 * speed, flat, R_s=R_S, noise=0.02))
-    return place
+    return path
 
 
 def together(folder, *names, **options):
@@ -46,50 +46,50 @@ def together(folder, *names, **options):
 @pytest.mark.slow
 def test_the_machine_of_all_and_the_logs_that_disagree(folder):
     names = [f"day{k}" for k in range(6)]
-    found = together(folder, *names, "steady", "other", "still")
-    values = {one.name: one for one in found.together.parameters}
-    assert values["R_s"].value == pytest.approx(1.03 * R_S, rel=0.05)  # the hot one is in it
-    assert {one.log for one in found.disagreeing} == {"day5.parquet", "other.parquet"}
-    hot, other = found.disagreeing
+    pooled = together(folder, *names, "steady", "other", "still")
+    values = {parameter.name: parameter for parameter in pooled.together.parameters}
+    assert values["R_s"].value == pytest.approx(1.03 * R_S, rel=0.05)  # includes the hot one
+    assert {log.log for log in pooled.disagreeing} == {"day5.parquet", "other.parquet"}
+    hot, other = pooled.disagreeing
     assert set(hot.apart) == {"R_s"}
     assert hot.apart["R_s"][0] == pytest.approx(0.2 * R_S, rel=0.15)
-    assert "as copper +5" in hot.words or "as copper +4" in hot.words
+    assert "copper +5" in hot.words or "copper +4" in hot.words
     assert "psi_f" in other.apart
     assert "another motor" in other.words
-    still = found.alone[-1]
+    still = pooled.alone[-1]
     assert "still.parquet" in still.words
     assert still.failed
 
 
-def test_logs_that_agree_are_within_what_they_say(folder):
-    found = together(folder, "day1", "day2", "day3")
-    assert "3 logs agree" in found.lines()
-    values = {one.name: one for one in found.together.parameters}
+def test_logs_that_agree_are_within_their_deviations(folder):
+    pooled = together(folder, "day1", "day2", "day3")
+    assert "3 logs agree" in pooled.lines()
+    values = {parameter.name: parameter for parameter in pooled.together.parameters}
     for name, true in (("R_s", R_S), ("psi_f", PSI_F), ("inverter", 4.0)):
         assert abs(values[name].value - true) < 4 * values[name].std + 0.005 * true
         assert values[name].std < 0.05 * true
 
 
-def test_no_log_of_any_use(folder):
-    with pytest.raises(FluxobsError, match="none of 2 logs tells anything"):
+def test_no_usable_log_is_an_error(folder):
+    with pytest.raises(FluxobsError, match="none of 2 logs identifies a parameter"):
         together(folder, "still", "gone")
 
 
 @pytest.mark.slow
-def test_one_log_is_nothing_to_compare_with(folder, tmp_path):
-    found = together(folder, "day1", "still")
-    assert [one.log for one in found.failed] == ["still.parquet"]
-    assert found.lines()[-1] == "Only one log is left: there is nothing to compare it with"
+def test_a_single_usable_log_is_not_compared(folder, tmp_path):
+    pooled = together(folder, "day1", "still")
+    assert [log.log for log in pooled.failed] == ["still.parquet"]
+    assert pooled.lines()[-1] == "Only one log is usable: there is no other to compare it with"
     copy = tmp_path / "copy.parquet"
     shutil.copy(folder / "day1.parquet", copy)
     days = [folder / "day1.parquet", copy]
-    with pytest.raises(FluxobsError, match="one log, and copies of it"):
+    with pytest.raises(FluxobsError, match="all other logs are copies of this one"):
         identify_many(days, PMSM, workers=1, scheduler="pool")
     days.append(folder / "day2.parquet")
-    found = identify_many(days, PMSM, workers=1, scheduler="pool")
-    assert found.twice == {str(copy): str(folder / "day1.parquet")}
-    assert [one.log for one in found.alone] == ["day1.parquet", "day2.parquet"]
-    assert f"{copy} is {folder}/day1.parquet again: it counts once" in found.lines()
+    pooled = identify_many(days, PMSM, workers=1, scheduler="pool")
+    assert pooled.twice == {str(copy): str(folder / "day1.parquet")}
+    assert [log.log for log in pooled.alone] == ["day1.parquet", "day2.parquet"]
+    assert f"{copy} is a copy of {folder}/day1.parquet: it counts once" in pooled.lines()
 
 
 @pytest.mark.slow
@@ -102,12 +102,12 @@ def test_the_command(folder, tmp_path):
         folder=tmp_path,
     )
     assert done.returncode == 0, done.stderr
-    assert "Unlike the others: day5.parquet: R_s = " in done.stdout
+    assert "Disagrees with the others: day5.parquet: R_s = " in done.stdout
     assert read_machine(tmp_path / "found.toml").R_s == pytest.approx(1.03 * R_S, rel=0.05)
     two = (folder / "day1.parquet", folder / "still.parquet", "--machine", machine)
     done = fluxobs(
         *("identify", *two, "--out", "two.toml", "--json", "--scheduler", "pool"), folder=tmp_path
     )
-    assert done.returncode == 1  # one of them tells nothing
+    assert done.returncode == 1  # one of them identifies nothing
     facts = json.loads(done.stdout)
-    assert [one["log"] for one in facts["logs"]] == ["day1.parquet", "still.parquet"]
+    assert [log["log"] for log in facts["logs"]] == ["day1.parquet", "still.parquet"]

@@ -1,4 +1,4 @@
-"""identify --free R_R: the rotor of a cage, from changes of its flux."""
+"""identify --free R_R: the rotor of a cage, from changes of its flux or from its slip."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ def cage_log(psi, **given):
 
 
 @pytest.mark.parametrize("wrong", [{}, {"R_R": 1.5, "L_M": 1.2}, {"R_R": 0.7}])
-def test_flux_changes_tell_the_rotor(wrong):
-    """R_R and L_M from a biased log without a position, whatever the file says."""
+def test_flux_changes_identify_the_rotor(wrong):
+    """R_R and L_M come out right from a biased log without position, even with a wrong file."""
     guess = MACHINE
     for name, factor in wrong.items():
         guess = guess.scaled([name], factor)
-    found = fluxobs.identify(cage_log(RAMPS), guess, free="R_R")
-    by_name = {p.name: p for p in found.parameters}
+    identified = fluxobs.identify(cage_log(RAMPS), guess, free="R_R")
+    by_name = {p.name: p for p in identified.parameters}
     assert set(by_name) == {"R_R", "L_M"}
     for name, share in (("R_R", 0.02), ("L_M", 0.005)):
         true = getattr(MACHINE, name)
         assert by_name[name].value == pytest.approx(true, rel=share)
         assert abs(by_name[name].value - true) < 3 * by_name[name].std
-    assert abs(found.machine.R_R - MACHINE.R_R) < 0.02 * MACHINE.R_R
-    assert found.machine.R_R_std > 0.1 * MACHINE.R_R  # heat until the next log
+    assert abs(identified.machine.R_R - MACHINE.R_R) < 0.02 * MACHINE.R_R
+    assert identified.machine.R_R_std > 0.1 * MACHINE.R_R  # allows for heating until the next log
 
 
-def test_a_standing_flux_does_not_tell_the_rotor():
+def test_a_constant_flux_does_not_identify_the_rotor():
     wrong = MACHINE.scaled(["R_R"], 1.5)
     with pytest.raises(FluxobsError, match="rotor flux changes by no more than 0%"):
         fluxobs.identify(cage_log(CONSTANT), wrong, free="R_R")
-    found = fluxobs.identify(cage_log(CONSTANT), wrong, free="R_s,R_R")
-    assert set(found.untold) == {"R_R", "L_M"}
-    assert found.machine.R_R == wrong.R_R
-    assert found.machine.R_s == pytest.approx(MACHINE.R_s, rel=0.02)
+    identified = fluxobs.identify(cage_log(CONSTANT), wrong, free="R_s,R_R")
+    assert set(identified.untold) == {"R_R", "L_M"}
+    assert identified.machine.R_R == wrong.R_R
+    assert identified.machine.R_s == pytest.approx(MACHINE.R_s, rel=0.02)
 
 
 def test_flux_and_rotor_are_not_free_together():
@@ -60,27 +60,27 @@ def speed_log(psi, seconds=2.4):
 
 
 @pytest.mark.parametrize("psi", [CONSTANT, RAMPS])
-def test_a_speed_tells_the_rotor_while_the_flux_stands(psi):
+def test_a_speed_identifies_the_rotor_at_constant_flux(psi):
     log, layout = speed_log(psi)
-    found = fluxobs.identify(log, MACHINE.scaled(["R_R"], 1.4), free="R_s,R_R", **layout)
-    by_name = {p.name: p for p in found.parameters}
+    identified = fluxobs.identify(log, MACHINE.scaled(["R_R"], 1.4), free="R_s,R_R", **layout)
+    by_name = {p.name: p for p in identified.parameters}
     assert set(by_name) == {"R_s", "R_R"}
     assert abs(by_name["R_R"].value - MACHINE.R_R) < 0.02 * MACHINE.R_R
     assert abs(by_name["R_R"].value - MACHINE.R_R) < 3 * by_name["R_R"].std + 0.005
-    assert abs(found.machine.R_R - MACHINE.R_R) < 0.02 * MACHINE.R_R
-    assert found.machine.L_M == MACHINE.L_M
+    assert abs(identified.machine.R_R - MACHINE.R_R) < 0.02 * MACHINE.R_R
+    assert identified.machine.L_M == MACHINE.L_M
 
 
-def test_a_speed_alone_tells_the_rotor_alone():
+def test_a_speed_identifies_the_rotor_resistance_alone():
     log, layout = speed_log(CONSTANT)
-    found = fluxobs.identify(log, MACHINE, free="R_R", **layout)
-    assert [p.name for p in found.parameters] == ["R_R"]
-    assert str(found).startswith("R_R = 2.09")
+    identified = fluxobs.identify(log, MACHINE, free="R_R", **layout)
+    assert [p.name for p in identified.parameters] == ["R_R"]
+    assert str(identified).startswith("R_R = 2.09")
 
 
-def test_a_log_too_short_for_the_slip_says_so():
+def test_a_log_too_short_for_the_slip_is_refused():
     log, layout = speed_log(CONSTANT, 0.06)
-    with pytest.raises(FluxobsError, match=r"too few to tell R_R|never known"):
+    with pytest.raises(FluxobsError, match=r"too few to identify R_R|never known"):
         fluxobs.identify(log, MACHINE, free="R_R", **layout)
 
 

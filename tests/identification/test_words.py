@@ -1,4 +1,4 @@
-"""What an identification says; which logs disagree, with limits from both sides; R_R of a slip."""
+"""Text of identifications; logs that disagree, with limits from both sides; R_R from the slip."""
 
 from types import SimpleNamespace
 
@@ -8,88 +8,88 @@ import pytest
 from fluxobs import FluxobsError
 from fluxobs.identification import report, rotor_resistance
 from fluxobs.identification.fit_result import Parameter, in_the_file
-from fluxobs.identification.pooled import Alone, Pooled, _apart
+from fluxobs.identification.pooled import LogFit, Pooled, _find_differences
 from support.records import PMSM
 
 
 def apart(value, others, std=0.03):
     told = {str(k): {"R_s": pair} for k, pair in enumerate(others)}
-    return _apart("x", told | {"x": {"R_s": (value, std)}})
+    return _find_differences("x", told | {"x": {"R_s": (value, std)}})
 
 
 @pytest.mark.parametrize(("sigmas", "disagrees"), [(3.9, False), (4.1, True), (-4.1, True)])
 def test_four_standard_deviations_disagree(sigmas, disagrees):
-    """Of the log's own, what the median of four others is sure to, and what they scatter by."""
+    """The limit combines the log's deviation, that of the median of four others, and scatter."""
     others = [(1.0, 0.02), (1.01, 0.02), (0.99, 0.08), (1.0, 0.01)]
-    own = np.sqrt(0.03**2 + (1.4826 * 0.005) ** 2 + (0.02 / 2) ** 2)
-    found = apart(1 + sigmas * own, others)
-    assert ("R_s" in found) == disagrees
-    for by, size in found.values():
-        assert by == pytest.approx(sigmas * own)
+    std = np.sqrt(0.03**2 + (1.4826 * 0.005) ** 2 + (0.02 / 2) ** 2)
+    differences = apart(1 + sigmas * std, others)
+    assert ("R_s" in differences) == disagrees
+    for by, size in differences.values():
+        assert by == pytest.approx(sigmas * std)
         assert size == pytest.approx(abs(sigmas))
 
 
 @pytest.mark.parametrize(("share", "disagrees"), [(0.0095, False), (0.0105, True), (-0.0105, True)])
-def test_less_than_a_hundredth_matters_to_nobody(share, disagrees):
+def test_less_than_a_hundredth_is_ignored(share, disagrees):
     others = [(-2.0, 1e-6)] * 3
     assert bool(apart(-2.0 * (1 + share), others, std=1e-6)) == disagrees
 
 
-def test_only_parameters_that_others_tell_are_compared():
+def test_only_parameters_of_other_logs_are_compared():
     told = {"x": {"L_s": (1.0, 0.1), "R_s": (9.0, 0.1)}, "a": {"R_s": (1.0, 0.1)}}
-    assert set(_apart("x", told)) == {"R_s"}
+    assert set(_find_differences("x", told)) == {"R_s"}
 
 
 def alone(told, apart, failed=""):
-    return Alone("day.csv", {n: (v, 0.1) for n, v in told.items()}, failed, apart)
+    return LogFit("day.csv", {n: (v, 0.1) for n, v in told.items()}, failed, apart)
 
 
-def test_by_how_much_a_log_is_off():
-    one = alone({"R_s": 1.2, "inverter": 2.0}, {"R_s": (0.2, 5.4), "inverter": (2.0, 4.6)})
-    assert one.words == (
-        "day.csv: R_s = 1.2, 5 standard deviations off (+20.0 %); "
-        "inverter = 2, 5 standard deviations off: as copper +51 K would"
+def test_the_difference_of_a_log_as_text():
+    log = alone({"R_s": 1.2, "inverter": 2.0}, {"R_s": (0.2, 5.4), "inverter": (2.0, 4.6)})
+    assert log.words == (
+        "day.csv: R_s = 1.2, 5 standard deviations from the others (+20.0 %); "
+        "inverter = 2, 5 standard deviations from the others; likely cause: copper +51 K"
     )
-    assert alone({}, {}, "no").words == "day.csv: alone it tells nothing: no"
+    assert alone({}, {}, "no").words == "day.csv: no parameter can be identified: no"
 
 
 @pytest.mark.parametrize(
     ("told", "by", "cause"),
     [
-        ({"R_s": 1.2}, {"R_s": 0.2}, ": as copper +51 K would"),
+        ({"R_s": 1.2}, {"R_s": 0.2}, "; likely cause: copper +51 K"),
         (
             {"R_s": 1.2, "psi_f": 1.0},
             {"R_s": 0.2},
-            ": as copper +51 K would, the magnets as they were; or a contact",
+            "; likely cause: copper +51 K with unchanged magnets, or a bad contact",
         ),
         (
             {"R_s": 1.2, "psi_f": 0.945},
             {"R_s": 0.2, "psi_f": -0.055},
-            ": as heat would, copper +51 K and magnets +50 K",
+            "; likely cause: heat, copper +51 K, magnets +50 K",
         ),
         (
             {"R_s": 0.9, "psi_f": 1.1},
             {"R_s": -0.1, "psi_f": 0.1},
-            ": as heat would, copper -25 K and magnets -91 K",
+            "; likely cause: heat, copper -25 K, magnets -91 K",
         ),
         (
             {"R_s": 1.2, "psi_f": 1.1},
             {"R_s": 0.2, "psi_f": 0.1},
-            ": another motor, or magnets that changed",
+            "; likely cause: another motor, or changed magnets",
         ),
-        ({"psi_f": 1.1}, {"psi_f": 0.1}, ": another motor, or magnets that changed"),
+        ({"psi_f": 1.1}, {"psi_f": 0.1}, "; likely cause: another motor, or changed magnets"),
         (
             {"R_s": 1.2, "L_s": 2.0},
             {"R_s": 0.2, "L_s": 1.0},
-            ": another motor, or another saturation",
+            "; likely cause: another motor, or other saturation",
         ),
         ({"inverter": 2.0}, {"inverter": 1.0}, ""),
     ],
 )
-def test_what_a_difference_may_come_from(told, by, cause):
+def test_the_likely_cause_of_a_difference(told, by, cause):
     """Copper's resistance grows by 0.393 % per kelvin, magnets lose 0.11 %."""
-    one = alone(told, {name: (value, 6.0) for name, value in by.items()})
-    assert one.words.endswith(cause or "standard deviations off (+100.0 %)")
+    log = alone(told, {name: (value, 6.0) for name, value in by.items()})
+    assert log.words.endswith(cause or "standard deviations from the others (+100.0 %)")
 
 
 def pooled(*logs, twice=()):
@@ -104,12 +104,12 @@ HOT = alone({"R_s": 1.2}, {"R_s": (0.2, 6.0)})
 
 def test_many_logs_in_lines():
     assert pooled(GOOD, GOOD).lines() == ["machine", "2 logs agree"]
-    assert pooled(GOOD, GOOD, BAD).lines()[1:] == [f"Of no use: {BAD.words}", "2 logs agree"]
-    assert pooled(GOOD, HOT).lines()[1:] == [f"Unlike the others: {HOT.words}"]
-    left = "Only one log is left: there is nothing to compare it with"
-    assert pooled(GOOD, BAD).lines()[-1] == left
+    assert pooled(GOOD, GOOD, BAD).lines()[1:] == [f"Not usable: {BAD.words}", "2 logs agree"]
+    assert pooled(GOOD, HOT).lines()[1:] == [f"Disagrees with the others: {HOT.words}"]
+    last_line = "Only one log is usable: there is no other to compare it with"
+    assert pooled(GOOD, BAD).lines()[-1] == last_line
     assert pooled(GOOD, GOOD, twice={"b": "a"}.items()).lines()[1] == (
-        "b is a again: it counts once"
+        "b is a copy of a: it counts once"
     )
 
 
@@ -136,8 +136,8 @@ PARAMETERS = [
 
 
 def fitted(used=99, psi_f=0.5, free=("psi_f",), converged=True):
-    piece = type("", (), {"__len__": lambda _: used, "start": np.array([0.3, 0.4])})()
-    other = type("", (), {"__len__": lambda _: 0, "start": np.array([0.0, 1.5])})()
+    segment = type("", (), {"__len__": lambda _: used, "start": np.array([0.3, 0.4])})()
+    empty = type("", (), {"__len__": lambda _: 0, "start": np.array([0.0, 1.5])})()
 
     def fit(rms, free):
         values = {"psi_f": psi_f}
@@ -147,7 +147,7 @@ def fitted(used=99, psi_f=0.5, free=("psi_f",), converged=True):
         parameters=PARAMETERS,
         untold={"L_s": "no current along d"},
         map=None,
-        pieces=[piece, other],
+        pieces=[segment, empty],
         rows=100,
         before=fit(0.01, free),
         after=fit(0.005, ("R_s",)),
@@ -162,18 +162,19 @@ def test_a_report_in_lines():
     assert lines[:4] == [
         "R_s = 1.235 ± 0.012 Ω (given 1)",
         "inverter = 0.5 ± 0.1 V (not given), its sign smoothed at inverter_current = 0.125 A",
-        "lag = 0.251 ± 0.01 samples (given 0); not part of a machine file: give --lag 0.25",
+        "lag = 0.251 ± 0.01 samples (given 0); a machine file has no lag: give --lag 0.25",
         "L_s held at 0.02 H: no current along d",
     ]
-    assert lines[4].startswith("This log cannot tell L_s: held as given.")
-    residual = "Residual of the relation: 2.00% of the flux as given but for psi_f, which is "
-    assert lines[5:] == [residual + "fitted, 1.00% as found"]
+    assert lines[4].startswith("This log cannot identify L_s: held at the given value")
+    residual = "Residual: 2.00% of the flux with the given values (psi_f fitted), "
+    assert lines[5:] == [residual + "1.00% with the identified ones"]
 
 
 def test_the_residual_of_a_machine_without_magnets():
-    """Over the mean flux at the starts of the pieces, here of 0.5 and 1.5 Wb."""
+    """It refers to the mean initial flux of the segments, here of 0.5 and 1.5 Wb."""
     lines = report.lines(fitted(psi_f=0.0, free=()))
-    assert lines[-1] == "Residual of the relation: 1.00% of the flux as given, 0.50% as found"
+    residual = "Residual: 1.00% of the flux with the given values, "
+    assert lines[-1] == residual + "0.50% with the identified ones"
 
 
 @pytest.mark.parametrize(("used", "said"), [(99, False), (98, True)])
@@ -186,12 +187,12 @@ def test_a_fit_that_did_not_converge_warns():
     assert report.lines(fitted(converged=False))[-1].startswith("Warning: the fit did not converge")
 
 
-def test_what_goes_into_the_machine_file():
+def test_parameters_of_the_machine_file():
     assert in_the_file(PARAMETERS) == {"R_s": (1.23456, 0.0123), "inverter_voltage": (0.5, 0.1)}
 
 
 def learnt_rotor_resistance(monkeypatch, rows=480, q=3.0, noise=0.0, rated=20.0, spoil=0):
-    """From rows at rotor angles, with a slip of R_R i_q/ψ, where R_R is 1.7 Ω and ψ 0.8 Wb."""
+    """Estimate R_R from rows with a slip of R_R i_q/ψ, where R_R is 1.7 Ω and ψ is 0.8 Wb."""
     rng = np.random.default_rng(0)
     theta = 0.1 * np.arange(rows)
     load = q * np.linspace(1.0, 2.0, rows) * np.where(np.arange(rows) % 2, 1.0, -1.0)
@@ -199,14 +200,14 @@ def learnt_rotor_resistance(monkeypatch, rows=480, q=3.0, noise=0.0, rated=20.0,
     speed = 100 + np.linspace(0, 1, rows)
     valid = np.arange(rows) >= spoil
     slips = 1.7 * load / 0.8 + noise * rng.standard_normal(rows)
-    found = SimpleNamespace(
+    estimate = SimpleNamespace(
         theta_e=theta, valid=valid, speed_e=2 * speed + slips, psi_f=np.full(rows, 0.8)
     )
-    part = SimpleNamespace(truth=speed, voltage=None, current=np.stack([i.real, i.imag], axis=1))
-    observer = SimpleNamespace(run=lambda voltage, current: found)
+    excerpt = SimpleNamespace(truth=speed, voltage=None, current=np.stack([i.real, i.imag], axis=1))
+    observer = SimpleNamespace(run=lambda voltage, current: estimate)
     scales = SimpleNamespace(current=20.0)
     monkeypatch.setattr(rotor_resistance, "plain_for", lambda log, machine: (observer, scales))
-    monkeypatch.setattr(rotor_resistance, "excerpts", lambda log: [part])
+    monkeypatch.setattr(rotor_resistance, "excerpts", lambda log: [excerpt])
     machine = SimpleNamespace(rated_current=rated, n_p=2)
     return (
         rotor_resistance.resistance_from_speed(SimpleNamespace(path="a.csv"), machine),
@@ -221,7 +222,7 @@ def test_the_rotor_resistance_of_a_slip(monkeypatch):
     assert std < 1e-12
 
 
-def test_its_standard_deviation_is_the_scatter_of_24_stretches(monkeypatch):
+def test_its_standard_deviation_is_the_scatter_of_24_blocks(monkeypatch):
     (value, std), load, slips = learnt_rotor_resistance(monkeypatch, noise=1.0)
     x, y = (load / 0.8).reshape(24, -1), slips.reshape(24, -1)
     assert value == pytest.approx((x * y).sum() / (x * x).sum())
@@ -230,7 +231,7 @@ def test_its_standard_deviation_is_the_scatter_of_24_stretches(monkeypatch):
 
 
 @pytest.mark.parametrize(("q", "rated", "told"), [(2.01, 20.0, True), (0.99, 20.0, False)])
-def test_rows_with_a_tenth_of_the_rated_current_tell(monkeypatch, q, rated, told):
+def test_rows_with_a_tenth_of_the_rated_current_are_used(monkeypatch, q, rated, told):
     for given in (rated, None):
         if told:
             assert learnt_rotor_resistance(monkeypatch, q=q, rated=given)[0][0] == pytest.approx(
@@ -242,7 +243,7 @@ def test_rows_with_a_tenth_of_the_rated_current_tell(monkeypatch, q, rated, told
 
 
 @pytest.mark.parametrize(("spoil", "told"), [(240, True), (241, False)])
-def test_ten_rows_a_stretch_are_enough(monkeypatch, spoil, told):
+def test_ten_rows_per_block_are_enough(monkeypatch, spoil, told):
     if told:
         assert learnt_rotor_resistance(monkeypatch, spoil=spoil)[0][0] == pytest.approx(1.7)
     else:

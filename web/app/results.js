@@ -327,7 +327,7 @@ export class Results {
                       textContent: [
                         one.words,
                         one.sure,
-                        one.others.length ? `Would fit as well: ${one.others.join("; ")}` : "",
+                        one.others.length ? `Fits equally well: ${one.others.join("; ")}` : "",
                       ]
                         .filter(Boolean)
                         .map((text) => text[0].toUpperCase() + text.slice(1))

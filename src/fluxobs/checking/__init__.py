@@ -1,1 +1,1 @@
-"""Is a log what its user thinks? The usual mistakes, tried on stretches of it."""
+"""Check of a log: the usual mistakes, each tested on segments of the log."""

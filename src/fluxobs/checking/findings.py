@@ -1,4 +1,4 @@
-"""What a check finds."""
+"""Findings of a check."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-#: What a log without a true angle cannot show.
+#: Note on a log without a true angle.
 UNSEEN = (
-    "Only a true angle (--truth) would show two phases exchanged in currents and voltages alike, "
-    "a wrong n_p, or a mirrored sign of the speed."
+    "Only a true angle (--truth) can reveal two phases exchanged in both currents and voltages, a "
+    "wrong n_p, or a reversed sign of the speed."
 )
 
 
-def capital(text: str) -> str:
-    """A sentence with its first letter large."""
+def capitalise(text: str) -> str:
+    """Return the text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
@@ -26,12 +26,13 @@ class Finding:
     Attributes
     ----------
     kind, words : str
+        The kind, and the finding as text.
     as_given : bool
-        Whether what was given fits best, or as well as the best.
+        Whether the given value fits best, or equally well.
     others : tuple of str
-        Alternatives that this log cannot tell from it.
+        Alternatives that fit this log equally well.
     sure : str
-        How sure the finding is, if that is known.
+        How clear the finding is, if known.
     """
 
     kind: str
@@ -42,7 +43,7 @@ class Finding:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The same, for JSON."""
+        """The fields as JSON can hold them."""
         return {
             "kind": self.kind,
             "words": self.words,
@@ -52,10 +53,10 @@ class Finding:
         }
 
     def __str__(self) -> str:
-        told = [f"Would fit as well: {'; '.join(self.others)}"] if self.others else []
-        said = [self.words, *([self.sure] if self.sure else []), *told]
+        others = [f"Fits equally well: {'; '.join(self.others)}"] if self.others else []
+        sentences = [self.words, *([self.sure] if self.sure else []), *others]
         mark = "" if self.as_given else "NOT as given: "
-        return f"{self.kind}: {mark}" + ". ".join([said[0], *map(capital, said[1:])])
+        return f"{self.kind}: {mark}" + ". ".join([sentences[0], *map(capitalise, sentences[1:])])
 
 
 @dataclass(frozen=True)
@@ -66,12 +67,12 @@ class Check:
     ----------
     findings : tuple of Finding
     residual_given, residual : float or None
-        Rms residual of the machine's relation over the flux, as given and at best; infinite where
-        the position is never known, None if it was not tried.
+        Rms residual of the machine's relation as a share of the flux: as given, and with the best
+        explanation. Infinite if the position is never known, None if not computed.
     notes : tuple of str
         What this log cannot show.
     fits : str
-        The parameters that fit, in words.
+        The parameters that fit, as text.
     """
 
     findings: tuple[Finding, ...]
@@ -82,40 +83,44 @@ class Check:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing fits better than what was given."""
+        """Whether the log and machine as given fit best."""
         return all(finding.as_given for finding in self.findings)
 
     @property
     def untold(self) -> str:
-        """A sentence on what this log cannot show, empty if there is nothing."""
-        lag = [", ".join(one.others) for one in self.findings if one.kind == "lag" and one.others]
-        parts = [f"the lag ({others} would fit as well)" for others in lag]
-        parts += (
-            ["the sense of rotation and n_p, without a true angle"] if UNSEEN in self.notes else []
-        )
-        return f"Not told by the log: {'; '.join(parts)}." if parts else ""
+        """Sentences on what this log cannot identify; empty if it can identify everything."""
+        sentences = [
+            f"The lag is ambiguous: {', '.join(finding.others)} would fit equally well."
+            for finding in self.findings
+            if finding.kind == "lag" and finding.others
+        ]
+        if UNSEEN in self.notes:
+            sentences.append(
+                "Without a true angle, the direction of rotation and n_p cannot be identified."
+            )
+        return " ".join(sentences)
 
     @property
     def mistakes(self) -> tuple[Finding, ...]:
-        """The findings that are not as given."""
+        """The findings that contradict the log or machine as given."""
         return tuple(finding for finding in self.findings if not finding.as_given)
 
     def lines(self) -> list[str]:
-        """One finding per line, then the residual and what this log cannot show."""
-        return [*(str(finding) for finding in self.findings), *self._residual(), *self.notes]
+        """Return one finding per line, then the residual and the notes."""
+        return [*(str(finding) for finding in self.findings), *self._residual_line(), *self.notes]
 
-    def _residual(self) -> list[str]:
+    def _residual_line(self) -> list[str]:
         given, best = self.residual_given, self.residual
         if best is None or given is None or not np.isfinite(best):
             return []
-        tail = (
+        suffix = (
             ""
             if best == given
-            else f"; as given it is {given:.1%}"
+            else f"; as given, it is {given:.1%}"
             if np.isfinite(given)
-            else "; as given the position is never known"
+            else "; as given, the position is never known"
         )
-        return [f"Residual of the machine's relation: {best:.1%} of the flux{tail}."]
+        return [f"Residual of the machine's relation: {best:.1%} of the flux{suffix}."]
 
     def __str__(self) -> str:
         return "\n".join(self.lines())

@@ -1,4 +1,4 @@
-"""Stretches of a log of a few turns each, from as many operating points as there are."""
+"""Segments of a log, a few turns each, from operating points as different as possible."""
 
 from __future__ import annotations
 
@@ -16,39 +16,40 @@ from ..machines import RotatingMachine
 from ..machines.model.held import without_kinks
 
 Complex = NDArray[np.complex128]
-Change = Callable[[Complex], Complex]
+VectorMap = Callable[[Complex], Complex]
 
-#: Lags of the voltage that are tried, relative to the given one [samples].
+#: Voltage lags that are tested, relative to the given lag [samples].
 LAGS = (-2, -1, 0, 1, 2)
-#: A stretch lasts this many turns, at least this long [s] and so many rows; over it the drift is
-#: taken as constant.
+#: A segment lasts this many turns, but at least this time [s] and this many rows. The drift is
+#: assumed constant within it.
 TURNS, SECONDS, SHORTEST = 3.0, 0.05, 100
-#: At most this many stretches are examined.
-STRETCHES = 10
-#: Stretches with less than this share of the largest EMF are left out: it is hidden there.
+#: Largest number of segments.
+MOST_SEGMENTS = 10
+#: Segments with less than this share of the largest EMF are skipped: drops and offsets hide it.
 SLOW = 0.15
-#: Gaps of up to this many rows are bridged.
+#: Gaps of at most this many rows are interpolated.
 BRIDGED = 5
-#: A row that leaves the line between its neighbours by this many times what is usual, by so much of
-#: the signal, and by more than twice what these differ, is a spike.
+#: A row is a spike if its distance from the line between its neighbours exceeds this many times the
+#: median distance, this share of the signal's standard deviation, and twice the difference between
+#: the neighbours.
 SPIKE, SPIKE_LEAST = 30.0, 0.5
-#: Values beyond are no measurements [A], [V]; squared they would be no numbers.
+#: Larger values are not measurements [A], [V]; their squares would overflow.
 ABSURD = 1e12
 
 
 @dataclass(frozen=True, eq=False)
-class Stretches:
-    """Stretches of equal length; vectors are complex, α + j β.
+class Segments:
+    """Segments of equal length; vectors are complex, α + j β.
 
     Attributes
     ----------
     sample_time : float
         [s].
-    current : (stretches, rows) array
+    current : (segments, rows) array
         [A].
-    voltage : mapping of int to (stretches, rows) array
+    voltage : mapping of int to (segments, rows) array
         Mean over the interval that ends at the row [V], for each of LAGS.
-    truth : (stretches, rows) array, optional
+    truth : (segments, rows) array, optional
         The truth channel, in its own unit.
     """
 
@@ -58,7 +59,7 @@ class Stretches:
     truth: Array | None
 
 
-def _same(values: Complex) -> Complex:
+def _identity(values: Complex) -> Complex:
     return values
 
 
@@ -66,153 +67,160 @@ def _complex(values: Array) -> Complex:
     return np.asarray(values[:, 0] + 1j * values[:, 1])
 
 
-def _measured(values: Complex) -> Complex:
-    """NaN where a value is no measurement."""
+def _drop_implausible(values: Complex) -> Complex:
+    """Replace implausible values by NaN."""
     return np.where(np.abs(values) < ABSURD, values, np.nan)
 
 
-def _bridge(values: Complex) -> Complex:
-    """Interpolate across short gaps; longer ones stay."""
-    values = _measured(values)
+def _bridge_gaps(values: Complex) -> Complex:
+    """Interpolate across short gaps; leave longer ones."""
+    values = _drop_implausible(values)
     bad = np.isnan(values)
     if not bad.any() or bad.all():
         return values
-    k, good = np.arange(len(values)), np.flatnonzero(~bad)
-    out = values.copy()
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]]))).reshape(-1, 2)
-    for low, high in edges:
-        if high - low <= BRIDGED:
-            out[low:high] = np.interp(k[low:high], good, values[good])
-    return out
+    k, known = np.arange(len(values)), np.flatnonzero(~bad)
+    bridged = values.copy()
+    gaps = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]]))).reshape(-1, 2)
+    for start, stop in gaps:
+        if stop - start <= BRIDGED:
+            bridged[start:stop] = np.interp(k[start:stop], known, values[known])
+    return bridged
 
 
 def without_spikes(values: Complex) -> tuple[Complex, int]:
-    """Replace rows that leave their neighbours' line and come back; their number."""
-    values = _measured(values)
-    out = values.copy()
-    off = values[1:-1] - (values[2:] + values[:-2]) / 2
-    size = np.abs(off)
-    usual = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
-    least = SPIKE_LEAST * float(np.nanstd(values)) if np.isfinite(size).any() else 0.0
+    """Interpolate across spikes of one row; return the signal and the number of spikes."""
+    values = _drop_implausible(values)
+    mended = values.copy()
+    deviation = values[1:-1] - (values[2:] + values[:-2]) / 2
+    size = np.abs(deviation)
+    typical = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
+    smallest = SPIKE_LEAST * float(np.nanstd(values)) if np.isfinite(size).any() else 0.0
     with np.errstate(invalid="ignore"):
-        spike = (size > max(SPIKE * usual, least)) & (size > 2 * np.abs(values[2:] - values[:-2]))
-    # the neighbours of a spike leave their line too, by half as much
+        spike = (size > max(SPIKE * typical, smallest)) & (
+            size > 2 * np.abs(values[2:] - values[:-2])
+        )
+    # A spike also moves its neighbours off their lines, by half as much.
     padded = np.concatenate([[0.0], np.where(spike, size, 0.0), [0.0]])
     spike &= (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:])
     at = np.flatnonzero(spike) + 1
-    out[at] = (values[at + 1] + values[at - 1]) / 2
-    return out, len(at)
+    mended[at] = (values[at + 1] + values[at - 1]) / 2
+    return mended, len(at)
 
 
-def _cleaned(values: Array) -> Complex:
-    """As complex numbers, without short gaps and spikes."""
-    return without_spikes(_bridge(_complex(values)))[0]
+def _clean(values: Array) -> Complex:
+    """Return complex numbers without short gaps and spikes."""
+    return without_spikes(_bridge_gaps(_complex(values)))[0]
 
 
-def _rows(voltage: list[Complex], sample_time: float) -> int:
-    """Rows of a stretch, from the speed at which the voltage turns."""
+def _segment_length(voltage: list[Complex], sample_time: float) -> int:
+    """Return the length of a segment, from the speed at which the voltage vector rotates."""
     speeds = []
     for u in voltage:
-        for part in np.array_split(u, max(1, len(u) // 512)):
-            product = np.nansum(part[1:] * part[:-1].conj()) if len(part) > 1 else 0.0
-            weight = float(np.nanmean(np.abs(part))) if np.isfinite(part).any() else 0.0
+        for block in np.array_split(u, max(1, len(u) // 512)):
+            product = np.nansum(block[1:] * block[:-1].conj()) if len(block) > 1 else 0.0
+            weight = float(np.nanmean(np.abs(block))) if np.isfinite(block).any() else 0.0
             speeds.append((weight, abs(float(np.angle(product))) / sample_time))
-    most = max(weight for weight, _ in speeds)
-    fast = [speed for weight, speed in speeds if weight >= most / 2]
+    largest = max(weight for weight, _ in speeds)
+    fast = [speed for weight, speed in speeds if weight >= largest / 2]
     speed = float(np.median(fast))
     turns = TURNS * 2 * np.pi / speed if speed > 0 else 0.0
     longest = max(len(u) for u in voltage)
     return int(min(max(SHORTEST, round(max(SECONDS, turns) / sample_time)), longest))
 
 
-def _resistance(voltage: list[Complex], current: list[Complex], given: float) -> float:
-    """The resistance, or less where the log shows that it is less, as with currents in mA."""
+def _limit_resistance(voltage: list[Complex], current: list[Complex], given: float) -> float:
+    """Return the given resistance, or the log's P/I² if smaller, as with currents in mA."""
     u, i = np.concatenate(voltage), np.concatenate(current)
-    good = np.isfinite(u) & np.isfinite(i)
-    most = float(np.vdot(i[good], u[good]).real) / (float(np.sum(np.abs(i[good]) ** 2)) + 1e-300)
-    return min(given, max(most, 0.0))
+    finite = np.isfinite(u) & np.isfinite(i)
+    apparent = float(np.vdot(i[finite], u[finite]).real) / (
+        float(np.sum(np.abs(i[finite]) ** 2)) + 1e-300
+    )
+    return min(given, max(apparent, 0.0))
 
 
-def _spread(features: Array) -> list[int]:
-    """Indices of rows far from one another, the first the one with the largest first feature."""
+def _choose_distant(features: Array) -> list[int]:
+    """Return the indices of features far from each other, starting at the largest first feature."""
     chosen = [int(np.argmax(features[:, 0]))]
     distance = np.full(len(features), np.inf)
-    while len(chosen) < min(STRETCHES, len(features)):
+    while len(chosen) < min(MOST_SEGMENTS, len(features)):
         distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
         distance[chosen] = -1.0
         chosen.append(int(np.argmax(distance)))
     return sorted(chosen)
 
 
-def stretches(
-    log: Log, machine: RotatingMachine, current_as: Change = _same, voltage_as: Change = _same
-) -> Stretches:
-    """Cut stretches out of a log of a machine with about this resistance.
+def cut_segments(
+    log: Log,
+    machine: RotatingMachine,
+    current_as: VectorMap = _identity,
+    voltage_as: VectorMap = _identity,
+) -> Segments:
+    """Cut segments out of a log.
 
-    They are chosen as if the vectors were changed by `current_as` and `voltage_as`, but not
-    changed.
+    The choice of segments uses R_s of the machine to compute the EMF, and the vectors as changed by
+    `current_as` and `voltage_as`. The segments themselves hold the vectors of the log.
 
     Raises
     ------
     FluxobsError
-        No stretch of the log is free of gaps.
+        No segment of the log is free of gaps.
     """
     current: list[Complex] = []
     voltage: list[Complex] = []
     truths: list[Array | None] = []
     share = machine.held_share(log.held, log.sample_time)
-    for part in excerpts(log):
-        current.append(_cleaned(part.current))
-        voltage.append(without_kinks(_cleaned(part.voltage), share))
-        truths.append(part.truth)
-    right, right_u = [current_as(i) for i in current], [voltage_as(u) for u in voltage]
-    least = _resistance(right_u, right, machine.R_s)
-    emf = [u - least * i for u, i in zip(right_u, right, strict=True)]
-    rows = _rows(emf, log.sample_time)
+    for excerpt in excerpts(log):
+        current.append(_clean(excerpt.current))
+        voltage.append(without_kinks(_clean(excerpt.voltage), share))
+        truths.append(excerpt.truth)
+    current_used, voltage_used = [current_as(i) for i in current], [voltage_as(u) for u in voltage]
+    resistance = _limit_resistance(voltage_used, current_used, machine.R_s)
+    emf = [u - resistance * i for u, i in zip(voltage_used, current_used, strict=True)]
+    count = _segment_length(emf, log.sample_time)
     places, features = [], []
-    for k, i in enumerate(current):
-        good = np.isfinite(i) & np.isfinite(voltage[k])
-        for first in range(0, len(i) - rows + 1, max(1, rows // 2)):
-            # other lags take voltages from beyond both ends
-            if not good[max(0, first + LAGS[0]) : first + rows + LAGS[-1]].all():
+    for number, i in enumerate(current):
+        finite = np.isfinite(i) & np.isfinite(voltage[number])
+        for first in range(0, len(i) - count + 1, max(1, count // 2)):
+            # The other lags need voltages from beyond both ends.
+            if not finite[max(0, first + LAGS[0]) : first + count + LAGS[-1]].all():
                 continue
-            cut = slice(first, first + rows)
-            u, size = emf[k][cut], float(np.abs(right[k][cut]).mean())
-            angle = np.vdot(u, right[k][cut]) / (np.abs(u).sum() + 1e-300)
-            places.append((k, cut))
+            cut = slice(first, first + count)
+            u, size = emf[number][cut], float(np.abs(current_used[number][cut]).mean())
+            angle = np.vdot(u, current_used[number][cut]) / (np.abs(u).sum() + 1e-300)
+            places.append((number, cut))
             features.append([float(np.abs(u).mean()), size, angle.real, angle.imag])
     if not places:
         raise FluxobsError(
-            f"{log.path}: no {rows} rows of it are free of gaps, so it cannot be checked"
+            f"{log.path}: cannot be checked: no {count} consecutive rows are free of gaps"
         )
     scaled = np.array(features)
     scaled /= np.array([scaled[:, 0].max(), *([scaled[:, 1].max()] * 3)]) + 1e-300
-    lively = np.flatnonzero(scaled[:, 0] >= SLOW)
-    chosen = [places[lively[n]] for n in _spread(scaled[lively])]
-    return Stretches(
+    moving = np.flatnonzero(scaled[:, 0] >= SLOW)
+    chosen = [places[moving[n]] for n in _choose_distant(scaled[moving])]
+    return Segments(
         log.sample_time,
-        np.stack([current[k][cut] for k, cut in chosen]),
+        np.stack([current[number][cut] for number, cut in chosen]),
         {
-            lag: _lagged(log, lag, share, chosen)
+            lag: _voltage_at_lag(log, lag, share, chosen)
             if lag
-            else np.stack([voltage[k][cut] for k, cut in chosen])
+            else np.stack([voltage[number][cut] for number, cut in chosen])
             for lag in LAGS
         },
-        _truth([truths[k] for k, _ in chosen], [cut for _, cut in chosen]),
+        _stack_truth([truths[number] for number, _ in chosen], [cut for _, cut in chosen]),
     )
 
 
-def _lagged(log: Log, lag: int, share: float, places: list[tuple[int, slice]]) -> Complex:
-    """The voltages at these places (excerpt, rows) with another lag."""
-    found: dict[int, Complex] = {}
-    wanted = {k for k, _ in places}
-    for k, part in enumerate(excerpts(log.lagged(lag))):
-        if k in wanted:
-            found[k] = without_kinks(_cleaned(part.voltage), share)
-    # nothing is known from beyond the ends of the log
-    return np.nan_to_num(np.stack([found[k][cut] for k, cut in places]))
+def _voltage_at_lag(log: Log, lag: int, share: float, places: list[tuple[int, slice]]) -> Complex:
+    """Return the voltages of segments (excerpt, rows) with another lag."""
+    voltages: dict[int, Complex] = {}
+    needed = {number for number, _ in places}
+    for number, excerpt in enumerate(excerpts(log.lagged(lag))):
+        if number in needed:
+            voltages[number] = without_kinks(_clean(excerpt.voltage), share)
+    # Zero where the voltage would come from beyond an end of the log.
+    return np.nan_to_num(np.stack([voltages[number][cut] for number, cut in places]))
 
 
-def _truth(parts: list[Array | None], cuts: list[slice]) -> Array | None:
-    found = [part[cut] for part, cut in zip(parts, cuts, strict=True) if part is not None]
-    return np.stack(found) if len(found) == len(parts) else None
+def _stack_truth(truths: list[Array | None], cuts: list[slice]) -> Array | None:
+    segments = [truth[cut] for truth, cut in zip(truths, cuts, strict=True) if truth is not None]
+    return np.stack(segments) if len(segments) == len(truths) else None

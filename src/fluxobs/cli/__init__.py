@@ -1,4 +1,4 @@
-"""The command line: it reads options, calls the library, and prints the result."""
+"""The command line: read options, call the library, print the result."""
 
 from .app import main
 

@@ -1,5 +1,6 @@
-"""The program: its commands, its errors, its exit codes. Start-up time counts: a command loads
-what it needs when it runs.
+"""The program: its commands, errors and exit codes.
+
+To start quickly, each command imports what it needs only when it runs.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from .options import REPEATED
 from .show import Stopped, echo
 
 HELP = """
-Flux, rotor position, speed and sensor drift from a drive's currents and voltages, both biased.
+Estimate flux, rotor position, speed and drift from a drive's measured currents and voltages, even
+if both have offsets.
 
 **Try it:**
 
@@ -42,8 +44,8 @@ Flux, rotor position, speed and sensor drift from a drive's currents and voltage
 
     fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
 
-`fluxobs COMMAND --help` has the options. Exit codes: 0 done, 1 `check` found a mistake,
-`campaign` or `fleet` a limit that is missed, one of many logs failed, 2 unusable input, 3 the
+`fluxobs COMMAND --help` lists the options. Exit codes: 0 success; 1 `check` found a mistake,
+`campaign` or `fleet` found a missed limit, or one of many logs failed; 2 unusable input; 3 the
 position is never valid.
 """
 
@@ -56,16 +58,17 @@ app = typer.Typer(
 )
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _show_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"fluxobs {version('fluxobs')}")
         raise typer.Exit
 
 
 @app.callback()
 def _options(
-    asked: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    version_requested: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
     pass
@@ -80,43 +83,45 @@ for command in COMMANDS:
 app.add_typer(machine, name="machine")
 
 
-def spread(arguments: Iterable[str]) -> list[str]:
-    """``--column a=b c=d`` means the same as ``--column a=b --column c=d``."""
-    out: list[str] = []
-    option, taken = None, 0
+def repeat_options(arguments: Iterable[str]) -> list[str]:
+    """Expand ``--column a=b c=d`` to ``--column a=b --column c=d``."""
+    expanded: list[str] = []
+    option, values = None, 0
     for argument in arguments:
         if argument.startswith("--"):
             name, joined, _ = argument.partition("=")
             option = name if name in REPEATED else None
-            taken = 1 if joined else 0
+            values = 1 if joined else 0
         elif option is not None and "=" in argument:
-            if taken:
-                out.append(option)
-            taken += 1
+            if values:
+                expanded.append(option)
+            values += 1
         else:
             option = None
-        out.append(argument)
-    return out
+        expanded.append(argument)
+    return expanded
 
 
-def _stop(number: int, frame: object) -> None:
+def _raise_stopped(number: int, frame: object) -> None:
     raise Stopped
 
 
 def main() -> None:
-    """Entry point; unusable input ends with a message and exit code 2."""
+    """Run the program; unusable input ends it with a message and exit code 2."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-    for end in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, end, None)
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # not under nohup
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if (
+            number is not None and signal.getsignal(number) is signal.SIG_DFL
+        ):  # nohup ignores SIGHUP: leave it so
             signal.signal(number, lambda number, frame: sys.exit(128 + number))
-    signal.signal(signal.SIGINT, _stop)
+    signal.signal(signal.SIGINT, _raise_stopped)
     try:
-        app(args=spread(sys.argv[1:]), prog_name="fluxobs")
-    except Stopped as end:
-        typer.echo(f"Stopped by Ctrl-C{end.where}; {end.left}.", err=True)
+        app(args=repeat_options(sys.argv[1:]), prog_name="fluxobs")
+    except Stopped as stopped:
+        typer.echo(f"Stopped by Ctrl-C{stopped.progress}; {stopped.consequence}.", err=True)
         raise
     except FluxobsError as error:
         echo(f"Error: {error}", err=True)

@@ -1,4 +1,4 @@
-"""Commands that take many logs: which are many, and what is printed of them."""
+"""Commands that take many logs: recognise, estimate and summarise them."""
 
 from __future__ import annotations
 
@@ -16,40 +16,42 @@ from . import show
 if TYPE_CHECKING:
     from ..fleets import Fleet
 
-#: Exit code if some of many logs could not be estimated.
+#: Exit code if some of many logs cannot be estimated.
 SOME_FAILED = 1
-#: Rows that are printed.
+#: Rows printed on the terminal.
 SHOWN = 20
 
 
 def are_many(logs: Sequence[str], out: Path | None) -> bool:
-    """Whether these are many logs, or one that is to be treated as one of many.
+    """Return whether these are many logs: several names, a folder, a pattern or a URL.
+
+    A single log also counts as many if `out` already holds the results of many logs.
 
     Raises
     ------
     UsageError
-        Nothing has this name, which might also be a pattern, or matches it.
+        The name contains wildcards, but neither exists nor matches a file.
     """
     if len(logs) > 1 or (out is not None and out.is_dir() and (out / "fleet.json").exists()):
         return True
-    one = logs[0]
-    if "://" in one or Path(one).is_dir():
+    log = logs[0]
+    if "://" in log or Path(log).is_dir():
         return True
-    if Path(one).exists() or not glob.has_magic(one):
+    if Path(log).exists() or not glob.has_magic(log):
         return False
-    if not glob.glob(one, recursive=True):
-        raise UsageError(f"{one}: no such file, and as a pattern it matches none")
+    if not glob.glob(log, recursive=True):
+        raise UsageError(f"{log}: no such file, and as a pattern it matches none")
     return True
 
 
-def refuse(options: Mapping[str, Any], purpose: str) -> None:
-    """Raise UsageError if one of these options is given."""
+def refuse(options: Mapping[str, Any], reason: str) -> None:
+    """Raise UsageError, "OPTION `reason`", if one of these options is given."""
     for name, value in options.items():
         if value is not None:
-            raise UsageError(f"{name} is for {purpose}")
+            raise UsageError(f"{name} {reason}")
 
 
-def many(
+def estimate_logs(
     logs: Sequence[str],
     machine: Path,
     out: Path | None,
@@ -62,22 +64,22 @@ def many(
     quiet: bool,
     as_json: bool,
 ) -> int:
-    """Estimate many logs and print what came of it; returns the exit code."""
+    """Estimate many logs, print a summary, and return the exit code."""
     from ..fleets import estimate_many
 
     if out is None:
-        what = f"{logs[0]} is a folder: " if Path(logs[0]).is_dir() else ""
-        raise UsageError(f"{what}--out FOLDER is missing: where the results of many logs go")
+        prefix = f"{logs[0]} is a folder: " if Path(logs[0]).is_dir() else ""
+        raise UsageError(f"{prefix}--out FOLDER is missing; the results of many logs go there")
     if out.suffix in (".parquet", ".csv"):
-        what = f"{logs[0]}: this is a folder, not a log; " if Path(logs[0]).is_dir() else ""
-        raise UsageError(f"{what}--out {out}: of many logs it is a folder")
-    chosen: Any = retry
-    asked: Literal["none", "failed", "all"] = chosen
-    with show.Progress("what is done is kept, the same command goes on") as progress:
+        prefix = f"{logs[0]}: this is a folder, not a log; " if Path(logs[0]).is_dir() else ""
+        raise UsageError(f"{prefix}--out {out}: for many logs, give a folder")
+    any_retry: Any = retry
+    retry_mode: Literal["none", "failed", "all"] = any_retry
+    with show.Progress("finished logs are kept; the same command resumes") as progress:
         fleet = estimate_many(
             *(logs, machine, out),
             drive=drive,
-            retry=asked,
+            retry=retry_mode,
             workers=workers,
             scheduler=scheduler,
             progress=progress,
@@ -98,11 +100,13 @@ def _show(fleet: Fleet, quiet: bool) -> None:
     from ..estimation.summary import si
 
     failed = fleet.failed
-    good = len(fleet.table) - len(failed)
+    estimated = len(fleet.table) - len(failed)
     if not quiet:
-        drawn = Table(box=None, pad_edge=False)
+        rich_table = Table(box=None, pad_edge=False)
         for k, title in enumerate(("log", "rows", "valid", "R_s", "psi_f", "V_d", "error rms", "")):
-            drawn.add_column(title, justify="left" if k in (0, 7) else "right", overflow="fold")
+            rich_table.add_column(
+                title, justify="left" if k in (0, 7) else "right", overflow="fold"
+            )
         for row in fleet.table.head(SHOWN).iter_rows(named=True):
 
             def value(name: str, unit: str, row: dict[str, Any] = row) -> str:
@@ -110,9 +114,9 @@ def _show(fleet: Fleet, quiet: bool) -> None:
                     return "–"
                 return f"{si(row[name], unit)} ± {si(row[f'{name}_std'], unit)}"
 
-            words = "failed" if row["failed"] else "look at it" if row["mistakes"] else ""
+            remark = "failed" if row["failed"] else "look at it" if row["mistakes"] else ""
             error = row["error_rms"]
-            drawn.add_row(
+            rich_table.add_row(
                 show.cell(row["log"]),
                 "–" if row["rows"] is None else str(row["rows"]),
                 "–" if row["valid"] is None else f"{row['valid']:.1%}",
@@ -120,15 +124,15 @@ def _show(fleet: Fleet, quiet: bool) -> None:
                 value("psi_f", "Wb"),
                 value("inverter_voltage", "V"),
                 "–" if error is None else f"{57.29577951308232 * error:.2f}°",
-                words,
+                remark,
             )
-        show.table(drawn)
+        show.table(rich_table)
         if len(fleet.table) > SHOWN:
             show.echo(f"… and {len(fleet.table) - SHOWN} more.")
-        show.echo(f"{good} of {len(fleet.table)} logs estimated.")
+        show.echo(f"{estimated} of {len(fleet.table)} logs estimated.")
     for row in failed.head(SHOWN).iter_rows(named=True):
         show.echo(f"Failed: {row['failed']}", err=True)
     if len(failed) > SHOWN:
-        show.say(f"… and {len(failed) - SHOWN} more that failed: summary.csv", err=True)
+        show.say(f"… and {len(failed) - SHOWN} more failed; see summary.csv", err=True)
     if not quiet:
         show.say(f"Written: {fleet.folder}/summary.parquet, summary.csv, estimates/")

@@ -1,7 +1,7 @@
-"""Options that several commands share. Their names are those of the library's arguments.
+"""Options that several commands share, named like the arguments of the library.
 
-The layout of a log takes a dozen options, defined once in :data:`LAYOUT`. A command that reads logs
-is decorated with :func:`reads_logs` and gets them as one mapping, ``layout``.
+:data:`LAYOUT` defines the options that describe how to read a log. The decorator :func:`reads_logs`
+adds them to a command and passes their values as one mapping, ``layout``.
 """
 
 from __future__ import annotations
@@ -19,42 +19,46 @@ from ..errors import FluxobsError, RecordError
 Pairs = list[str] | None
 
 MachineOption = Annotated[
-    Path, typer.Option(help="TOML with kind, R_s, … in SI; or a name from `fluxobs machines`.")
+    Path,
+    typer.Option(
+        help="Machine file (TOML: kind, R_s, … in SI units), or a name from `fluxobs machines`."
+    ),
 ]
 LogArgument = Annotated[
     Path,
     typer.Argument(
         metavar="LOG",
-        help="Text as instruments write it (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, npy, "
-        "JSON, HDF5, MAT, MDF4, TDMS, ULog, Excel. `fluxobs channels LOG` shows what it holds.",
+        help="Text (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, npy, JSON, HDF5, MAT, MDF4, "
+        "TDMS, ULog, Excel. `fluxobs channels LOG` lists its columns.",
     ),
 ]
 ReportOption = Annotated[
-    Path | None, typer.Option(help="Report: .html; or a picture: .png, .pdf, .svg.")
+    Path | None, typer.Option(help="Report to write: .html, or a picture: .png, .pdf, .svg.")
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")]
-QuietOption = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")
-]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings and errors.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for scripts.")]
 SaveRecordOption = Annotated[
     Path | None,
-    typer.Option(help="Record file to write, .toml: how the log was read, guesses included."),
+    typer.Option(
+        help="Record file to write, .toml: how this log was read, including what was guessed."
+    ),
 ]
 DriveOption = Annotated[
     str | None,
     typer.Option(
-        help="Of many: regular expression that finds the drive in a log's path; default its folder."
+        help="With many logs: regular expression that finds the drive's name in a log's path. "
+        "Default: the log's folder."
     ),
 ]
 WorkersOption = Annotated[
-    int | None, typer.Option(min=1, help="Processes; default one per processor.")
+    int | None, typer.Option(min=1, help="Number of processes; default one per processor core.")
 ]
 SchedulerOption = Annotated[
     str,
     typer.Option(
-        help="local: Dask on this machine if it is installed, else a pool of processes; pool; or "
-        "the address of a Dask scheduler, tcp://host:8786."
+        help="local: Dask on this computer if installed, else a process pool; pool: a process "
+        "pool; tcp://HOST:8786: a Dask scheduler at this address."
     ),
 ]
 PriorOption = Annotated[
@@ -63,51 +67,54 @@ PriorOption = Annotated[
         "--prior",
         "--priors",
         metavar="NAME=NUMBER",
-        help="resistance=OHM, inverter=VOLT, psi_f=WB, asymmetry=NUMBER: standard deviations of "
-        "the machine file's values. Default: half of R_s; a quarter of R_s times the rated "
-        "current (a log's voltage may make it more); a quarter of psi_f; 0.01.",
+        help="Standard deviations of the machine file's values: resistance=OHM, inverter=VOLT, "
+        "psi_f=WB, asymmetry=NUMBER. Default: half of R_s; a quarter of R_s times the rated "
+        "current, or more at high voltage; a quarter of psi_f; 0.01.",
     ),
 ]
 
-#: Options of every command that reads a log: name of the argument → annotation.
+#: Options of every command that reads a log: argument name → annotation.
 LAYOUT: dict[str, Any] = {
     "record": Annotated[
-        Path | None, typer.Option(help="TOML with frame, lag, columns, …; options override it.")
+        Path | None,
+        typer.Option(help="Record file (TOML: frame, lag, columns, …); options override it."),
     ],
     "preset": Annotated[
         str | None,
-        typer.Option(help="Record of a known tool; `fluxobs presets` lists them."),
+        typer.Option(help="Layout of a known tool's logs; `fluxobs presets` lists them."),
     ],
     "frame": Annotated[
         str | None,
         typer.Option(
-            help="alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c; or two currents), "
-            "line (two of u_ab u_bc u_ca), duty (d_a d_b d_c udc), dq (u_d u_q i_d i_q theta_e; a "
-            "voltage is turned by the angle in the middle of the interval it acts over), ports "
-            "(u_1 u_2 i_1 i_2: maglev-2dof). Default: the first of these that the columns fill."
+            help="Frame and channels: alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c, "
+            "or only two currents), line (two of u_ab u_bc u_ca), duty (d_a d_b d_c udc), dq (u_d "
+            "u_q i_d i_q theta_e; the voltage is rotated by the angle in the middle of its "
+            "interval), ports (u_1 u_2 i_1 i_2 of maglev-2dof). Default: the first one whose "
+            "channels the log has."
         ),
     ],
     "currents": Annotated[
         str | None,
-        typer.Option(help="Frame of the currents, if another: alphabeta, abc or dq."),
+        typer.Option(help="Frame of the currents if it differs: alphabeta, abc or dq."),
     ],
     "sample_time": Annotated[
         float | None,
-        typer.Option(help="Seconds; needed if neither a column nor the header says it."),
+        typer.Option(help="Seconds; needed if the log has neither a time column nor a rate."),
     ],
     "lag": Annotated[
         float | None,
         typer.Option(
-            help="Samples. 0 (default): a row's voltage acts from that row to the next; -1: one "
-            "sample later (usual computation delay); +1: one earlier; fractions allowed."
+            help="Samples by which a row's voltage acts early. 0 (default): from its row to the "
+            "next; -1: one sample later (the usual computation delay); +1: one sample earlier. "
+            "May be a fraction."
         ),
     ],
     "held": Annotated[
         bool | None,
         typer.Option(
             "--held/--not-held",
-            help="Whether each voltage is held over its sample, as an inverter's mean voltage is. "
-            "Default: if it matters for the machine, R h/L above 0.15.",
+            help="Whether each voltage is constant over its sample, like an inverter's mean "
+            "voltage. Default: only if R h/L exceeds 0.15.",
         ),
     ],
     "columns": Annotated[
@@ -116,7 +123,7 @@ LAYOUT: dict[str, Any] = {
             "--column",
             "--columns",
             metavar="CHANNEL=COLUMN",
-            help="The column of a channel; udc=540 sets a constant DC-link voltage, t=- ignores a "
+            help="Column of a channel. udc=540 sets a constant DC-link voltage; t=- ignores the "
             "column t.",
         ),
     ],
@@ -126,74 +133,76 @@ LAYOUT: dict[str, Any] = {
             "--unit",
             "--units",
             metavar="CHANNEL=UNIT",
-            help="As i_a=mA theta=deg speed=rpm t=ms; i, u, duty, theta, speed stand for all of "
-            "these. counts:4096 (of a turn, of full duty), ticks:170e6 (t, Hz), q8 (fixed point). "
-            "Default: the file's unit, or that in the name.",
+            help="For example i_a=mA theta=deg speed=rpm t=ms; i, u, duty, theta and speed mean "
+            "all such channels. counts:4096 (per turn, or at full duty), ticks:170e6 (timer of t, "
+            "Hz), q8 (fixed point). Default: the unit in the file or in the column's name.",
         ),
     ],
     "adc": Annotated[
         Pairs,
         typer.Option(
             metavar="CHANNEL=BITS,RANGE,ZERO",
-            help="Raw counts: i=12,100,2048 are 12 bits that span 100 A, zero at 2048.",
+            help="Raw converter counts: i=12,100,2048 means 12 bits, 100 A full range, zero at "
+            "count 2048.",
         ),
     ],
     "scale": Annotated[
         Pairs,
         typer.Option(
             metavar="CHANNEL=NUMBER",
-            help="What turns a column into SI, in place of a unit: the channel is scale · column + "
-            "offset. -1 turns a sign.",
+            help="Factor to SI units, instead of a unit: channel = scale · column + offset. -1 "
+            "reverses the sign.",
         ),
     ],
     "offset": Annotated[
         Pairs,
-        typer.Option(
-            metavar="CHANNEL=NUMBER", help="What is added to a channel after that, in SI."
-        ),
+        typer.Option(metavar="CHANNEL=NUMBER", help="Offset to add after scaling, in SI units."),
     ],
     "start": Annotated[
-        float | None, typer.Option("--from", "--start", help="Seconds; use rows from then on.")
+        float | None, typer.Option("--from", "--start", help="Seconds; skip rows before this time.")
     ],
     "stop": Annotated[
-        float | None, typer.Option("--to", "--stop", help="Seconds; use rows until then.")
+        float | None, typer.Option("--to", "--stop", help="Seconds; skip rows after this time.")
     ],
     "truth": Annotated[
         Pairs,
         typer.Option(
             metavar="CHANNEL=COLUMN",
-            help="What the estimate is scored by: theta_e or theta_mech=COLUMN: true angle; "
-            "sincos=SINE,COSINE; hall=A,B,C; speed_mech or speed_e=COLUMN (tells `identify` the "
-            "R_R of an induction machine); position=COLUMN of a levitated body. none: nothing, "
-            "even if a column looks like an angle.",
+            help="Reference to score the estimate with: theta_e=COLUMN or theta_mech=COLUMN, a "
+            "true angle; sincos=SINE,COSINE; hall=A,B,C; speed_mech=COLUMN or speed_e=COLUMN (lets "
+            "`identify` find R_R of an induction machine); position=COLUMN of a levitated body; "
+            "none: no reference, even if a column looks like an angle.",
         ),
     ],
     "fit_truth": Annotated[
         bool | None,
         typer.Option(
             "--fit-truth/--truth-as-given",
-            help="Fit zero, direction, pole pairs, delay and eccentricity of the truth to the "
-            "estimate, and report them apart (default).",
+            help="Fit the reference's zero, direction, pole pairs, delay and eccentricity to the "
+            "estimate and report them separately (default).",
         ),
     ],
     "header": Annotated[
         str | None,
-        typer.Option(metavar="NAMES", help='Names for a file without: "t,u_a,u_b,u_c,i_a,i_b".'),
+        typer.Option(
+            metavar="NAMES",
+            help='Column names of a file without a header: "t,u_a,u_b,u_c,i_a,i_b".',
+        ),
     ],
     "join": Annotated[
         list[str] | None,
-        typer.Option(metavar="FILE", help="A further file of the same run; may be repeated."),
+        typer.Option(metavar="FILE", help="Another file of the same run; may be repeated."),
     ],
     "align": Annotated[
         str | None,
         typer.Option(
-            help="How the times of joined files belong together: time (stamps; default), index "
-            "(row by row), auto (by what both saw)."
+            help="How to align joined files: time (time stamps; default), index (row by row), auto "
+            "(by the signals that both contain)."
         ),
     ],
 }
 
-#: Options that may be followed by several NAME=VALUE.
+#: Options that accept several NAME=VALUE pairs.
 REPEATED = (
     *("--column", "--columns", "--unit", "--units", "--adc", "--scale", "--offset", "--truth"),
     *("--prior", "--priors", "--set"),
@@ -201,34 +210,36 @@ REPEATED = (
 
 
 def reads_logs(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command the options of :data:`LAYOUT`, less those named, as its argument `layout`."""
+    """Add the options of :data:`LAYOUT`, except those named, to a command as argument `layout`."""
     names = [name for name in LAYOUT if name not in without]
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = inspect.signature(command, eval_str=True)
-        kept = [p for p in own.parameters.values() if p.name != "layout"]
-        added = [
+        signature = inspect.signature(command, eval_str=True)
+        own_parameters = [p for p in signature.parameters.values() if p.name != "layout"]
+        layout_parameters = [
             inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=LAYOUT[name]
             )
             for name in names
         ]
-        kept = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in kept]
+        own_parameters = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own_parameters]
 
         @wraps(command)
-        def wrapper(**given: Any) -> None:
-            taken = {name: given.pop(name) for name in names}
-            command(**given, layout=layout_of(taken))
+        def wrapper(**arguments: Any) -> None:
+            options = {name: arguments.pop(name) for name in names}
+            command(**arguments, layout=layout_of(options))
 
-        wrapper.__signature__ = own.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
-        wrapper.__annotations__ = {p.name: p.annotation for p in [*kept, *added]}
+        wrapper.__signature__ = signature.replace(parameters=[*own_parameters, *layout_parameters])  # type: ignore[attr-defined]
+        wrapper.__annotations__ = {
+            p.name: p.annotation for p in [*own_parameters, *layout_parameters]
+        }
         return wrapper
 
     return decorate
 
 
 def layout_of(options: dict[str, Any]) -> dict[str, Any]:
-    """The options that are given, as arguments of :func:`fluxobs.read_log`."""
+    """Return the given options as arguments of :func:`fluxobs.read_log`."""
     layout = {name: value for name, value in options.items() if value is not None}
     if layout.get("truth") == ["none"]:
         layout["truth"] = ["none=-"]
@@ -241,30 +252,30 @@ def layout_of(options: dict[str, Any]) -> dict[str, Any]:
     return layout
 
 
-def pairs(option: str, given: Pairs) -> dict[str, str]:
-    """Names and values from NAME=VALUE."""
-    out = {}
-    for pair in given or []:
+def pairs(option: str, arguments: Pairs) -> dict[str, str]:
+    """Parse NAME=VALUE pairs; raise RecordError if one is malformed."""
+    values = {}
+    for pair in arguments or []:
         name, equals, value = pair.partition("=")
         if not (name and equals and value):
             raise RecordError(f"--{option}: expected NAME=VALUE, got {pair!r}")
-        out[name.strip()] = value.strip()
-    return out
+        values[name.strip()] = value.strip()
+    return values
 
 
-def numbers(option: str, given: Pairs) -> dict[str, float]:
-    """Names and numbers from NAME=VALUE."""
-    out = {}
-    for name, value in pairs(option, given).items():
+def numbers(option: str, arguments: Pairs) -> dict[str, float]:
+    """Parse NAME=NUMBER pairs; raise RecordError if one is malformed."""
+    values = {}
+    for name, value in pairs(option, arguments).items():
         try:
-            out[name] = float(value)
+            values[name] = float(value)
         except ValueError:
             raise RecordError(f"--{option} {name}={value}: {value!r} is not a number") from None
-    return out
+    return values
 
 
 def refuse_input_as_output(out: Path, *inputs: Path | None) -> None:
     """Raise FluxobsError if `out` is one of the input files."""
     for source in inputs:
         if source is not None and source.exists() and out.exists() and out.samefile(source):
-            raise FluxobsError(f"{out}: this is one of the inputs; give another name")
+            raise FluxobsError(f"{out}: this is one of the inputs; choose another name")

@@ -15,12 +15,12 @@ from ..core.printable import visible
 
 
 def say(text: str, err: bool = False) -> None:
-    """Print text as it is, for paths and commands: it is not wrapped."""
+    """Print paths and commands, which must not be wrapped."""
     typer.echo(visible(text), err=err)
 
 
 def echo(text: str, err: bool = False) -> None:
-    """Print text, wrapped for a terminal, in one line for a pipe."""
+    """Print text, wrapped on a terminal, on one line into a pipe."""
     text = visible(text)
     if not err and sys.stdout.isatty():
         text = textwrap.fill(text, min(shutil.get_terminal_size().columns, 100))
@@ -28,14 +28,14 @@ def echo(text: str, err: bool = False) -> None:
 
 
 def cell(text: str, style: str = "") -> Any:
-    """Text of a table as it is: [mA] in a name is no markup."""
+    """Return a table cell that shows its text literally: [mA] in a name is not markup."""
     from rich.text import Text
 
     return Text(visible(text), style)
 
 
 def summary(paragraph: str, warnings: Iterable[str]) -> None:
-    """Print a paragraph and its warnings."""
+    """Print a paragraph, then its warnings."""
     echo(paragraph)
     for warning in warnings:
         echo(f"Warning: {warning}")
@@ -49,46 +49,48 @@ def table(rich_table: Any) -> None:
     Console(width=width).print(rich_table)
 
 
-def page(items: Iterable[Any]) -> None:
-    """Print the lines of an examination."""
+def examination(items: Iterable[Any]) -> None:
+    """Print the items of an examination of a drive as a table."""
     from rich.table import Table
 
-    drawn = Table(box=None, pad_edge=False)
+    rich_table = Table(box=None, pad_edge=False)
     for title in ("what", "value", "verdict", ""):
-        drawn.add_column(title, overflow="fold")
+        rich_table.add_column(title, overflow="fold")
     colours = {"fine": "green", "look at it": "bold red", "cannot be told": "dim"}
     for item in items:
         verdict = cell(item.verdict, colours[item.verdict])
-        drawn.add_row(cell(item.name), cell(item.told), verdict, cell(item.words))
+        rich_table.add_row(cell(item.name), cell(item.told), verdict, cell(item.words))
     typer.echo()
-    table(drawn)
+    table(rich_table)
 
 
 def interactive() -> bool:
-    """Whether somebody can answer a question."""
+    """Return whether a user at a terminal can answer a question."""
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 class Stopped(SystemExit):
-    """Ctrl-C; the exit code is that of shells, 128 and the number of the signal."""
+    """Ctrl-C was pressed; the exit code is 128 plus the number of the signal, as in shells."""
 
-    def __init__(self, where: str = "", left: str = "no file was written or changed") -> None:
+    def __init__(
+        self, progress: str = "", consequence: str = "no file was written or changed"
+    ) -> None:
         super().__init__(130)
-        self.where, self.left = where, left
+        self.progress, self.consequence = progress, consequence
 
 
 class Progress:
-    """A bar on standard error, once a run has taken a second.
+    """A progress bar on standard error, shown after a second of running.
 
     Parameters
     ----------
-    left : str, optional
-        What Ctrl-C leaves behind, in words.
+    consequence : str, optional
+        Text that tells the user what Ctrl-C has left behind.
     """
 
-    def __init__(self, left: str | None = None) -> None:
+    def __init__(self, consequence: str | None = None) -> None:
         self.started = time.monotonic()
-        self.left = left
+        self.consequence = consequence
         self.bar: Any = None
         self.done = self.total = 0
 
@@ -97,8 +99,8 @@ class Progress:
 
     def __call__(self, done: int, total: int) -> None:
         self.done, self.total = done, total
-        late = sys.stderr.isatty() and time.monotonic() - self.started > 1
-        if self.bar is None and late and done < total:
+        is_due = sys.stderr.isatty() and time.monotonic() - self.started > 1
+        if self.bar is None and is_due and done < total:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 
@@ -118,5 +120,7 @@ class Progress:
         if self.bar is not None:
             self.bar.stop()
         if kind is not None and issubclass(kind, Stopped):
-            at = f" at {self.done / self.total:.0%}" if self.total else ""
-            raise (Stopped(at, self.left) if self.left else Stopped(at)) from None
+            progress = f" at {self.done / self.total:.0%}" if self.total else ""
+            raise (
+                Stopped(progress, self.consequence) if self.consequence else Stopped(progress)
+            ) from None

@@ -1,1 +1,1 @@
-"""An examination of a drive from an ordinary log: what a service engineer would ask."""
+"""Examination of a drive from an ordinary log, with the questions of a service engineer."""

@@ -1,4 +1,4 @@
-"""What the drive's parameters say: resistance and heat, magnets, inverter, timing, encoder."""
+"""Items on the drive: resistance and temperature, magnets, inverter, timing, encoder."""
 
 from __future__ import annotations
 
@@ -14,71 +14,73 @@ from ..machines import RotatingMachine
 from ..machines.heat import COLD, COPPER
 from ..observers.adaptive import Learnt
 from ..observers.unknowns import ALL
-from .item import Item, judged, look_if
+from .item import Item, flag_if, judge
 
-#: A winding may be so warm [°C]; hotter is worth a look.
+#: Highest normal winding temperature [°C].
 WARM = 130.0
-#: A magnet's flux may differ from its plate by this share: heat, and spread of production.
+#: Normal deviation of the magnet flux from the machine file: temperature, spread of production.
 MAGNET = 0.08
-#: An inverter's voltage is usual up to this share of the rated resistive drop's … of the voltage.
+#: Largest normal inverter voltage, as a share of the log's voltage.
 INVERTER = 0.03
-#: A lag that is off by less [samples] costs less than noise does.
+#: Largest insignificant error of the lag [samples]: noise has a larger effect.
 LAG = 0.1
-#: Unequal gains of the phases up to this share are usual.
+#: Largest normal inequality of the phase gains.
 GAIN = 0.01
-#: A drift of this share of the voltage is usual: offsets of one percent.
+#: Largest normal drift, as a share of the voltage: offsets of one percent.
 DRIFT = 0.02
-#: Encoder faults worth a look: eccentricity of the shaft, scatter of Hall edges [rad].
+#: Largest normal eccentricity of an encoder and scatter of Hall edges [rad].
 ECCENTRIC, HALL = np.radians(0.5), np.radians(5.0)
 
 
-def run(log: Log, machine: RotatingMachine) -> Result:
-    """The adaptive observer over a log, with all unknowns."""
+def run_adaptive(log: Log, machine: RotatingMachine) -> Result:
+    """Run the adaptive observer over a log, with all unknowns."""
     return estimate(log, machine, unknowns=ALL)
 
 
 def learnt_items(result: Result, cold_resistance: float | None) -> list[Item]:
-    """Resistance and temperature, magnets, inverter, gains, offsets together."""
+    """Return items on resistance, temperature, magnets, inverter, gains, and the sum of offsets."""
     if result.adaptive is None or result.learnt is None or not result.statistics.valid:
-        words = "the position is never valid; mend what is said above first"
+        words = "the position is never valid; correct the findings above first"
         return [Item("resistance, magnets, inverter", "cannot be told", words)]
-    found = {one.name: one for one in parameters(result.adaptive, result.learnt)}
-    out = []
-    resistance = found.get("resistance")
+    learnt = {parameter.name: parameter for parameter in parameters(result.adaptive, result.learnt)}
+    items = []
+    resistance = learnt.get("resistance")
     if resistance is not None:
-        if resistance.told or resistance.std < 0.1 * resistance.value:  # the file knows it
-            out += _resistance(resistance.value, resistance.std, result, cold_resistance)
+        if resistance.told or resistance.std < 0.1 * resistance.value:  # the file states it well
+            items += _resistance_items(resistance.value, resistance.std, result, cold_resistance)
         else:
-            out.append(_untold("resistance", "log steps of load, or slow rotation with current"))
-    magnet = found.get("magnet flux")
+            items.append(
+                _undetermined("resistance", ("log steps of load, or slow rotation with current"))
+            )
+    magnet = learnt.get("magnet flux")
     if magnet is not None and result.rotor.magnet_flux:
-        out.append(_magnets(magnet.value, magnet.std, magnet.told, result))
-    inverter = found.get("inverter")
+        items.append(_magnet_item(magnet.value, magnet.std, magnet.told, result))
+    inverter = learnt.get("inverter")
     if inverter is not None:
         if inverter.told:
-            out.append(_inverter(inverter.value, inverter.std, result))
+            items.append(_inverter_item(inverter.value, inverter.std, result))
         else:
             words = "log reversals of the current, or slow rotation with little current"
-            out.append(_untold("inverter voltage", words))
-    out.append(_gains(result, result.learnt))
+            items.append(_undetermined("inverter voltage", words))
+    items.append(_gains_item(result, result.learnt))
     drift = mean_of(result, "drift")
-    size, of = float(np.hypot(*drift)), result.scales.voltage
-    verdict = look_if(size > DRIFT * of)
-    words = f"{size / of:.1%} of the voltage; offsets of voltages and R_s times those of currents"
-    out.append(Item("drift of the flux integral", verdict, words, size, None, "V"))
-    return out
+    size, voltage = float(np.hypot(*drift)), result.scales.voltage
+    verdict = flag_if(size > DRIFT * voltage)
+    words = f"{size / voltage:.1%} of the voltage; voltage offsets, and current offsets times R_s"
+    items.append(Item("drift of the flux integral", verdict, words, size, None, "V"))
+    return items
 
 
-def _untold(name: str, test: str) -> Item:
-    return Item(name, "cannot be told", f"to tell it, {test}")
+def _undetermined(name: str, test: str) -> Item:
+    return Item(name, "cannot be told", f"to determine it, {test}")
 
 
-def _resistance(value: float, std: float, result: Result, cold: float | None) -> list[Item]:
+def _resistance_items(value: float, std: float, result: Result, cold: float | None) -> list[Item]:
     given = result.rotor.R_s
-    out = [
+    items = [
         Item(
             "resistance of a phase",
-            judged(value / given, std / given, 0.45, 1.2),
+            judge(value / given, std / given, 0.45, 1.2),
             f"{value / given:.0%} of the machine file's {given:.4g} Ω",
             value,
             std,
@@ -86,83 +88,91 @@ def _resistance(value: float, std: float, result: Result, cold: float | None) ->
         )
     ]
     reference = given if cold is None else cold
-    heat, spread = (value / reference - 1) / COPPER + COLD, std / reference / COPPER
-    words = "copper" if cold is not None else "copper, if the machine file's R_s is that at 20 °C"
-    verdict = judged(heat, spread, WARM, 0.0) if heat > COLD - 3 * spread - 20 else "look at it"
-    if verdict == "look at it" and heat <= COLD:
-        words += "; colder than any room: R_s in the machine file is too large"
-    out.append(Item("winding temperature", verdict, words, heat, spread, "°C"))
-    return out
+    temperature, temperature_std = (value / reference - 1) / COPPER + COLD, std / reference / COPPER
+    words = "copper" if cold is not None else "copper, if R_s in the machine file holds at 20 °C"
+    verdict = (
+        judge(temperature, temperature_std, WARM, 0.0)
+        if temperature > COLD - 3 * temperature_std - 20
+        else "look at it"
+    )
+    if verdict == "look at it" and temperature <= COLD:
+        words += "; implausibly cold: R_s in the machine file is too large"
+    items.append(Item("winding temperature", verdict, words, temperature, temperature_std, "°C"))
+    return items
 
 
-def _magnets(value: float, std: float, told: bool, result: Result) -> Item:
+def _magnet_item(value: float, std: float, told: bool, result: Result) -> Item:
     given = result.rotor.magnet_flux or 0.0
     if not told and std > MAGNET * given:
-        return _untold("magnet flux", "log some seconds of faster rotation")
-    share, spread = value / given, std / given
+        return _undetermined("magnet flux", "log some seconds of faster rotation")
+    share, share_std = value / given, std / given
     words = f"{share:.1%} of the machine file's {given:.4g} Wb"
-    verdict = judged(share, spread, MAGNET, 1.0)
+    verdict = judge(share, share_std, MAGNET, 1.0)
     if verdict == "look at it":
         words += (
-            "; weaker by heat (0.1 to 0.2 % a kelvin) or demagnetised, if the plate is right"
+            "; weakened by heat (0.1 to 0.2 % per kelvin) or demagnetised, if the file is right"
             if share < 1
-            else "; is psi_f in the machine file of a line, or rms?"
+            else "; is psi_f in the machine file a line-to-line or rms value?"
         )
     return Item("magnet flux", verdict, words, value, std, "Wb")
 
 
-def _inverter(value: float, std: float, result: Result) -> Item:
-    log, of = result.log, result.scales.voltage
-    words = f"{value / of:.1%} of the voltage in this log; dead time and device drops of a phase"
+def _inverter_item(value: float, std: float, result: Result) -> Item:
+    log, voltage = result.log, result.scales.voltage
+    words = (
+        f"{value / voltage:.1%} of the voltage in this log; dead time and device drops per phase"
+    )
     link = log.layout.udc
     if link is None and "udc" in log.names:
-        part = next(log.channels(log.first, min(log.last, log.first + 1000)))
-        link = float(np.nanmedian(part["udc"]))
+        batch = next(log.channels(log.first, min(log.last, log.first + 1000)))
+        link = float(np.nanmedian(batch["udc"]))
     if link:
         words += (
-            f"; as much as a dead time of {1e6 * value * log.sample_time / link:.2g} µs, if the "
-            f"PWM has the log's rate"
+            f"; equals a dead time of {1e6 * value * log.sample_time / link:.2g} µs if the PWM "
+            f"frequency is the sample rate"
         )
-    verdict = judged(value, std, INVERTER * of)
+    verdict = judge(value, std, INVERTER * voltage)
     if verdict == "cannot be told":
         verdict = "fine"
     return Item("inverter voltage", verdict, words, value, std, "V")
 
 
-def _gains(result: Result, learnt: Learnt) -> Item:
+def _gains_item(result: Result, learnt: Learnt) -> Item:
     assert result.adaptive is not None
     name, std = "unequal gains of the phases", max(learnt.asymmetry_std)
     prior = result.adaptive.asymmetry_std
     if not prior or std > 0.5 * prior:
-        return _untold(name, "log some seconds of rotation under load")
+        return _undetermined(name, "log some seconds of rotation under load")
     size = float(np.hypot(*learnt.asymmetry))
-    verdict = judged(size, std, GAIN)
+    verdict = judge(size, std, GAIN)
     return Item(
         name, verdict, "of the current sensors, or of the windings", 100 * size, 100 * std, "%"
     )
 
 
 def lag_item(log: Log, machine: RotatingMachine, as_given: bool) -> Item:
-    """The lag of the voltage, fitted with resistance, magnets and inverter; `as_given`: whether
-    the relation holds best with the lag that was given."""
+    """Return the item on the voltage lag, fitted with resistance, magnets and inverter.
+
+    `as_given`: whether, among whole lags, the relation holds best with the given one.
+    """
     free = ["R_s", "inverter", "lag"]
     if machine.magnets:
         free.insert(1, machine.flux_name)
     given = log.layout.lag
     try:
-        found = identify(log, machine, free=",".join(free))
+        fit = identify(log, machine, free=",".join(free))
     except FluxobsError as error:
         return Item("lag of the voltage", "cannot be told", str(error))
-    lag = next((one for one in found.parameters if one.name == "lag"), None)
-    if lag is None or lag.std is None or not found.after.converged:
-        words = "changes of speed would tell it, or a true angle (--truth)"
+    lag = next((parameter for parameter in fit.parameters if parameter.name == "lag"), None)
+    if lag is None or lag.std is None or not fit.after.converged:
+        words = "to determine it, log changes of speed or a true angle (--truth)"
         return Item("lag of the voltage", "cannot be told", words)
-    verdict = judged(lag.value, lag.std, LAG, given)
+    verdict = judge(lag.value, lag.std, LAG, given)
     words = f"read with --lag {given:g}"
     if verdict == "look at it" and as_given:
         words = (
             f"a fit gives {lag.value:.2f}, but among whole lags the relation holds best with "
-            f"{given:g}: the log is too short, or too even, to tell"
+            f"{given:g}: the log is too short or too uniform to decide"
         )
         return Item("lag of the voltage", "cannot be told", words)
     if verdict == "look at it":
@@ -171,10 +181,10 @@ def lag_item(log: Log, machine: RotatingMachine, as_given: bool) -> Item:
 
 
 def truth_items(result: Result) -> list[Item]:
-    """Encoder, Hall sensors or speed against the estimate."""
+    """Return items that compare encoder, Hall sensors or speed with the estimate."""
     fit, true = result.truth_fit, result.log.true
     if true is None:
-        words = "no encoder, speed or Hall signal in this log; --truth names one"
+        words = "this log has no known encoder, Hall or speed signal; name one with --truth"
         return [Item("encoder", "cannot be told", words)]
     if fit is None:
         return [
@@ -184,40 +194,53 @@ def truth_items(result: Result) -> list[Item]:
     if not fit.parameters:
         return [Item(name, "look at it", "; ".join(fit.words))]
     if fit.channel == "hall":
-        bad = fit.wrong_turns or len(fit.words) > 2 or not fit.rms < HALL
-        verdict = look_if(bad)
+        is_faulty = fit.wrong_turns or len(fit.words) > 2 or not fit.rms < HALL
+        verdict = flag_if(is_faulty)
         return [Item(name, verdict, "; ".join(fit.words), np.degrees(fit.rms), None, "° scatter")]
-    out = []
+    items = []
     if fit.wrong_turns:
-        out.append(Item(name, "look at it", "; ".join(fit.words[:2])))
-    for one in fit.parameters:
-        if one.name == "gain":
-            verdict = judged(one.value, one.std, 0.01, 1.0)
-            out.append(Item("estimated over given speed", verdict, "", one.value, one.std, ""))
-        elif one.name == "delay":
-            words = "positive: the encoder comes late"
+        items.append(Item(name, "look at it", "; ".join(fit.words[:2])))
+    for parameter in fit.parameters:
+        if parameter.name == "gain":
+            verdict = judge(parameter.value, parameter.std, 0.01, 1.0)
+            items.append(
+                Item("estimated over given speed", verdict, "", parameter.value, parameter.std, "")
+            )
+        elif parameter.name == "delay":
+            words = "positive: the encoder is late"
             scale = 1e6
             limit = 0.5 * result.log.sample_time
-            verdict = judged(one.value, one.std, limit) if fit.lost is None else "cannot be told"
-            out.append(
-                Item("encoder delay", verdict, words, scale * one.value, scale * one.std, "µs")
+            verdict = (
+                judge(parameter.value, parameter.std, limit)
+                if fit.lost is None
+                else "cannot be told"
+            )
+            items.append(
+                Item(
+                    "encoder delay",
+                    verdict,
+                    words,
+                    scale * parameter.value,
+                    scale * parameter.std,
+                    "µs",
+                )
             )
         else:
-            degrees = np.degrees([one.value, one.std])
-            zero = one.name == "zero"
-            verdict = "fine" if zero else judged(one.value, one.std, ECCENTRIC)
-            verdict = verdict if zero or fit.lost is None else "cannot be told"
-            words = "electrical, to be added to the channel" if zero else "of the shaft"
+            degrees = np.degrees([parameter.value, parameter.std])
+            is_zero = parameter.name == "zero"
+            verdict = "fine" if is_zero else judge(parameter.value, parameter.std, ECCENTRIC)
+            verdict = verdict if is_zero or fit.lost is None else "cannot be told"
+            words = "electrical, to add to the channel" if is_zero else "of the shaft"
             label = {
                 "zero": "encoder zero",
                 "eccentricity 1": "eccentricity, once a turn",
                 "eccentricity 2": "eccentricity, twice a turn",
-            }[one.name]
-            out.append(Item(label, verdict, words, float(degrees[0]), float(degrees[1]), "°"))
-    left = "what is left against it"
+            }[parameter.name]
+            items.append(Item(label, verdict, words, float(degrees[0]), float(degrees[1]), "°"))
+    remaining = "remaining error of the truth"
     if fit.channel.startswith("speed"):
         value, unit = fit.rms, "rad/s, rms"
     else:
         value, unit = float(np.degrees(fit.rms)), "°, rms"
-    out.append(Item(left, look_if(fit.lost is not None), fit.lost or "", value, None, unit))
-    return out
+    items.append(Item(remaining, flag_if(fit.lost is not None), fit.lost or "", value, None, unit))
+    return items

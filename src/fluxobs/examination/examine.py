@@ -1,4 +1,4 @@
-"""Is a log what its user thinks, and is the drive well?"""
+"""Check of a log, and examination of the drive."""
 
 from __future__ import annotations
 
@@ -16,9 +16,16 @@ from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
 from ..machines import Machine, RotatingMachine, as_machine, rotating
-from .drive import lag_item, learnt_items, run, truth_items
+from .drive import lag_item, learnt_items, run_adaptive, truth_items
 from .item import Item
-from .signals import ROWS, channels_of, converters, offsets, rated_current, sampling
+from .signals import (
+    ROWS,
+    check_converters,
+    check_offsets,
+    check_sampling,
+    rated_current,
+    read_channels,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Examination(Check):
-    """Result of :func:`fluxobs.check`: the mistakes, and on request the page on the drive.
+    """Result of :func:`fluxobs.check`: the mistakes and, on request, an examination of the drive.
 
     Attributes
     ----------
@@ -44,40 +51,40 @@ class Examination(Check):
 
     @cached_property
     def items(self) -> tuple[Item, ...]:
-        """The page: a line a thing, with value, standard deviation and verdict; takes seconds."""
+        """The examination: items with value, standard deviation and verdict; takes seconds."""
         assert self.log is not None
         assert self.machine is not None
         log = replace(self.log, last=min(self.log.last, self.log.first + ROWS))
-        channels = channels_of(log)
+        channels = read_channels(log)
         rated = rated_current(self.machine, channels)
-        items = [*converters(channels, log, rated), *offsets(channels, log, rated)]
+        items = [*check_converters(channels, log, rated), *check_offsets(channels, log, rated)]
         if any(finding.kind in ("columns", "angle", "machine") for finding in self.mistakes):
-            words = "the log is not read as it should be: see above"
+            words = "the log is not read correctly; correct the findings above first"
             items.append(Item("parameters of the drive", "cannot be told", words))
-            return (*sampling(log, 0.0), *items)
+            return (*check_sampling(log, 0.0), *items)
         try:
-            result = run(log, self.machine)
+            result = run_adaptive(log, self.machine)
         except FluxobsError as error:
             items.append(Item("parameters of the drive", "cannot be told", str(error)))
-            return (*sampling(log, 0.0), *items)
+            return (*check_sampling(log, 0.0), *items)
         series = result.statistics.thin.columns()
-        known = series["valid"] > 0
-        lag = all(one.as_given for one in self.findings if one.kind == "lag")
-        speed = float(abs(series["speed_e"][known]).max()) if known.any() else 0.0
+        valid = series["valid"] > 0
+        lag_as_given = all(finding.as_given for finding in self.findings if finding.kind == "lag")
+        speed = float(abs(series["speed_e"][valid]).max()) if valid.any() else 0.0
         return (
-            *sampling(log, speed),
+            *check_sampling(log, speed),
             *items,
             *learnt_items(result, self.cold_resistance),
-            lag_item(log, self.machine, lag),
+            lag_item(log, self.machine, lag_as_given),
             *truth_items(result),
         )
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Findings and page as JSON can hold them."""
+        """Findings and items as JSON can hold them."""
         return {
             "sound": self.sound,
-            "findings": [one.facts for one in self.findings],
+            "findings": [finding.facts for finding in self.findings],
             "residual_given": _finite(self.residual_given),
             "residual": _finite(self.residual),
             "notes": [*self.notes, *(self.log.notes if self.log is not None else ())],
@@ -85,21 +92,26 @@ class Examination(Check):
         }
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: findings and page."""
+        """Return findings and items as HTML, for a notebook."""
         from ..core.html import bullets, table
 
         rows = [(item.name, item.told, item.verdict, item.words) for item in self.items]
         return bullets(self.lines()) + table(("what", "value", "verdict", ""), rows)
 
     def plot(self) -> Figure:
-        """The page as a picture."""
+        """Draw the examination."""
         from .picture import figure
 
         return figure(self)
 
     def write(self, path: str | Path, *, force: bool = False) -> None:
-        """Write the page as a picture or .html; FluxobsError if the file exists and `force` is not
-        given."""
+        """Write the examination as a picture or .html.
+
+        Raises
+        ------
+        FluxobsError
+            The file exists and `force` is not given, or it cannot be written.
+        """
         from ..core.html import document
         from ..core.plots import HTML, REPORTS, write
 
@@ -109,7 +121,7 @@ class Examination(Check):
             write(self.plot(), path)
             return
         name = "" if self.log is None else self.log.path.name
-        title = f"{name}: is it what it is taken for?"
+        title = f"{name}: check of the log and examination of the drive"
         write_text(path, document(title, self._repr_html_()))
 
 
@@ -125,11 +137,11 @@ def check(
     progress: Callable[[int, int], Any] | None = None,
     **layout: Any,
 ) -> Examination:
-    """Is a log what its user thinks? Try the usual mistakes on stretches of it.
+    """Test a log for the usual mistakes, on segments of it.
 
-    They are the sign of the current, the phase order, the lag, the frame, and scales of the log or
-    of the machine file; with a true angle, also its zero, its direction, and n_p. Columns are
-    looked at first: repeated, raw counts, an angle in degrees, spikes.
+    The columns are checked first: duplicates, raw counts, an angle in degrees, spikes. Then follow
+    the sign of the current, the phase order, the lag, the frame, and scales of the log or of the
+    machine file; with a true angle, also its zero, its direction, and n_p.
 
     ``.items`` of the result examines the drive: sensors, resistance and winding temperature,
     magnets, inverter, lag, encoder, sampling, each with a verdict.
@@ -139,11 +151,11 @@ def check(
     log : path, Log, Record, mapping of str to array, or (voltage, current)
         See :func:`fluxobs.read_log`.
     machine : Machine, or a path, or the name of a shipped machine
-        A rotating one.
+        It must be a rotating machine.
     cold_resistance : float, optional
         Phase resistance at 20 °C [Ω], for the winding temperature; default R_s of the machine.
     progress : callable, optional
-        Called with the number of attempts made and the number of all attempts so far known.
+        Called with the number of fits done and the number of fits known so far.
     layout : optional
         As for :func:`fluxobs.read_log`.
 
@@ -152,8 +164,10 @@ def check(
     FluxobsError
         The machine does not rotate, or the log has too few rows without a gap.
     """
-    given = rotating(as_machine(machine), "the check of a log")
-    opened = open_for(log, given, **layout)
-    found = check_log(opened, given, progress)
-    own = {one.name: getattr(found, one.name) for one in fields(found)}
-    return Examination(**own, log=opened, machine=given, cold_resistance=cold_resistance)
+    rotating_machine = rotating(as_machine(machine), "the check of a log")
+    opened_log = open_for(log, rotating_machine, **layout)
+    result = check_log(opened_log, rotating_machine, progress)
+    attributes = {field.name: getattr(result, field.name) for field in fields(result)}
+    return Examination(
+        **attributes, log=opened_log, machine=rotating_machine, cold_resistance=cold_resistance
+    )

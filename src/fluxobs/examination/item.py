@@ -1,4 +1,4 @@
-"""One line of an examination."""
+"""Items of an examination, and their verdicts."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ Verdict = Literal["fine", "look at it", "cannot be told"]
 
 @dataclass(frozen=True)
 class Item:
-    """What a log says of one thing.
+    """One item of an examination.
 
     Attributes
     ----------
     name : str
     verdict : str
-        "fine", "look at it", or "cannot be told" from this log.
+        "fine", "look at it", or "cannot be told": this log does not determine it.
     words : str
-        What it means; where it cannot be told, which test would tell.
+        Remarks; for "cannot be told", the test that would determine it.
     value, std : float, optional
         Value and standard deviation, in `unit`.
     unit : str
@@ -34,7 +34,7 @@ class Item:
 
     @property
     def told(self) -> str:
-        """Value and standard deviation, in words."""
+        """Value and standard deviation as text."""
         if self.value is None:
             return ""
         if self.std is None or not self.std > 0:
@@ -48,7 +48,7 @@ class Item:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The same, for JSON."""
+        """The fields as JSON can hold them."""
         return {
             "name": self.name,
             "verdict": self.verdict,
@@ -59,18 +59,18 @@ class Item:
         }
 
 
-def judged(value: float, std: float, limit: float, expected: float = 0.0) -> Verdict:
-    """Whether a value lies within a limit of what is expected, as far as it is known.
+def judge(value: float, std: float, limit: float, expected: float = 0.0) -> Verdict:
+    """Return whether a value lies within `limit` of the expected one.
 
-    It cannot be told if its standard deviation alone exceeds the limit; it is worth a look if it is
-    beyond the limit by more than two standard deviations.
+    "look at it": it exceeds the limit by more than two standard deviations. "cannot be told": its
+    standard deviation is too large to decide.
     """
-    off = abs(value - expected)
-    if off - 2 * std > limit:
+    deviation = abs(value - expected)
+    if deviation - 2 * std > limit:
         return "look at it"
-    return "fine" if 2 * std <= limit or off + 2 * std <= limit else "cannot be told"
+    return "fine" if 2 * std <= limit or deviation + 2 * std <= limit else "cannot be told"
 
 
-def look_if(bad: bool) -> Verdict:
-    """ "look at it" if something is bad, else "fine"."""
+def flag_if(bad: bool) -> Verdict:
+    """Return "look at it" if `bad`, else "fine"."""
     return "look at it" if bad else "fine"

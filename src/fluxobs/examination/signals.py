@@ -1,4 +1,4 @@
-"""What the signals themselves say: sampling, clipping, resolution, offsets at rest."""
+"""Items on the signals: sampling, clipping, resolution, offsets at rest."""
 
 from __future__ import annotations
 
@@ -9,54 +9,55 @@ from ..core.arrays import Array
 from ..logs.log import Log
 from ..machines import RotatingMachine
 from ..machines.model.frames import CURRENTS, PHASE_CURRENTS
-from .item import Item, look_if
+from .item import Item, flag_if
 
-#: Rows that are looked at.
+#: Largest number of rows to examine.
 ROWS = 1_000_000
-#: A converter at its end stays there: so many equal rows in a row are clipped.
+#: This many consecutive equal extreme values mean that the converter is at its limit.
 CLIPPED = 4
-#: Voltages and currents at rest, as shares of the log's 95th percentiles, for so many rows.
+#: At rest, voltages and currents are below these shares of their 99th percentiles, for at least
+#: half of REST_ROWS rows in a row, and REST_ROWS rows in total.
 REST_VOLTAGE, REST_CURRENT, REST_ROWS = 0.01, 0.05, 100
-#: Offsets of this share of the rated current, and gains that differ by this share, are usual.
+#: Largest normal offset over the rated current, and largest normal difference of gains.
 OFFSET, GAIN = 0.01, 0.01
-#: A step of the converter of this share of the rated current is coarse.
+#: A resolution above this share of the rated current is coarse.
 COARSE = 0.01
-#: At least so many samples an electrical period.
+#: Smallest sufficient number of samples per electrical period.
 SAMPLES = 8.0
 
 
-def channels_of(log: Log) -> dict[str, Array]:
-    """The channels of the first million rows."""
-    parts = list(log.channels(log.first, min(log.last, log.first + ROWS)))
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+def read_channels(log: Log) -> dict[str, Array]:
+    """Return the channels of the first ROWS rows."""
+    batches = list(log.channels(log.first, min(log.last, log.first + ROWS)))
+    return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 
-def sampling(log: Log, speed: float) -> list[Item]:
-    """Time stamps, gaps, and the rate against the fastest rotation [rad/s]."""
+def check_sampling(log: Log, speed: float) -> list[Item]:
+    """Return items on gaps, jitter, and the sample rate at the highest speed [rad/s]."""
     clock = log.clock
-    out = []
+    items = []
     if clock.missing:
         share = clock.missing / clock.rows
         words = f"{len(clock.at) - 1} gaps; the logger loses samples"
-        verdict = look_if(share > 1e-4)
-        out.append(Item("missing samples", verdict, words, float(clock.missing), None, "rows"))
+        verdict = flag_if(share > 1e-4)
+        items.append(Item("missing samples", verdict, words, float(clock.missing), None, "rows"))
     else:
-        out.append(Item("missing samples", "fine", "", 0.0, None, "rows"))
+        items.append(Item("missing samples", "fine", "", 0.0, None, "rows"))
     if clock.jitter:
         share = 100 * clock.jitter / clock.sample_time
         words = "of the sample time, rms; a hardware timer has less than 1 %"
-        out.append(Item("jitter of the stamps", "look at it", words, share, None, "%"))
+        items.append(Item("jitter of the stamps", "look at it", words, share, None, "%"))
     if speed > 0:
         samples = float(2 * np.pi / (speed * clock.sample_time))
-        few = samples < SAMPLES
-        words = "at the highest speed" + (f"; at least {SAMPLES:g} are needed" if few else "")
-        out.append(Item("samples a period", look_if(few), words, samples, None, ""))
-    return out
+        too_few = samples < SAMPLES
+        words = "at the highest speed" + (f"; at least {SAMPLES:g} are needed" if too_few else "")
+        items.append(Item("samples a period", flag_if(too_few), words, samples, None, ""))
+    return items
 
 
-def converters(channels: dict[str, Array], log: Log, rated: float) -> list[Item]:
-    """Clipping and resolution of the measured currents."""
-    out = []
+def check_converters(channels: dict[str, Array], log: Log, rated: float) -> list[Item]:
+    """Return items on clipping and resolution of the measured currents."""
+    items = []
     clipped, steps = [], []
     for name in CURRENTS[log.current_frame]:
         if name not in channels:
@@ -64,84 +65,86 @@ def converters(channels: dict[str, Array], log: Log, rated: float) -> list[Item]
         values = channels[name][np.isfinite(channels[name])]
         if len(values) < 10:
             continue
-        if (count := _clipped(values)) > 0:
+        if (count := _count_clipped(values)) > 0:
             clipped.append(f"{name}: {count} rows")
         steps.append(_resolution(values))
     if clipped:
-        words = "the current stays at its largest value: the converter or amplifier is at its end"
-        out.append(Item("clipping", "look at it", f"{words} ({', '.join(clipped)})"))
+        words = "the current stays at its extreme value: the converter or amplifier is at its limit"
+        items.append(Item("clipping", "look at it", f"{words} ({', '.join(clipped)})"))
     else:
-        out.append(Item("clipping", "fine"))
+        items.append(Item("clipping", "fine"))
     step = max(steps, default=0.0)
     if step > 0:
-        verdict = look_if(step > COARSE * rated)
+        verdict = flag_if(step > COARSE * rated)
         words = f"{step / rated:.2%} of the rated current"
-        out.append(Item("resolution of the currents", verdict, words, step, None, "A"))
-    return out
+        items.append(Item("resolution of the currents", verdict, words, step, None, "A"))
+    return items
 
 
-def _clipped(values: Array) -> int:
-    """Rows in runs of equal extreme values."""
+def _count_clipped(values: Array) -> int:
+    """Return the number of rows in runs of equal extreme values."""
     total = 0
     for extreme in (values.max(), values.min()):
-        at = np.flatnonzero(values == extreme)
-        if len(at) < CLIPPED:
+        rows = np.flatnonzero(values == extreme)
+        if len(rows) < CLIPPED:
             continue
-        runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
+        runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
         total += sum(len(run) for run in runs if len(run) >= CLIPPED)
     return total
 
 
 def _resolution(values: Array) -> float:
-    """The step between values, if they are of a converter."""
+    """Return the step between the values if they are quantised, else 0."""
     levels = np.unique(values[:20_000])
     if len(levels) < 3 or len(levels) > min(len(values), 20_000) / 4:
         return 0.0
     return float(np.median(np.diff(levels)))
 
 
-def offsets(channels: dict[str, Array], log: Log, rated: float) -> list[Item]:
-    """Offsets of the current sensors, where the drive rests, or from the sum of three phases."""
+def check_offsets(channels: dict[str, Array], log: Log, rated: float) -> list[Item]:
+    """Return items on current offsets, from rows at rest and from the sum of three phases."""
     names = [name for name in CURRENTS[log.current_frame] if name in channels]
     if log.current_frame == "dq":
-        return [_no_rest("currents are in rotor coordinates; log phase currents")]
+        return [_undetermined_offsets("currents are in rotor coordinates; log phase currents")]
     current = np.stack([channels[name] for name in names])
-    rest = _at_rest(channels, log, current)
-    out = []
+    rest = _find_rest(channels, log, current)
+    items = []
     if rest.sum() >= REST_ROWS:
         for name, values in zip(names, current, strict=True):
-            part = values[rest]
-            part = part[np.isfinite(part)]
-            std = float(part.std() / np.sqrt(len(part) / 10))
-            mean = float(part.mean())
-            verdict = look_if(abs(mean) - 2 * std > OFFSET * rated)
-            words = f"{mean / rated:+.2%} of the rated current, in {len(part)} rows at rest"
-            out.append(Item(f"offset of {name}", verdict, words, mean, std, "A"))
+            resting = values[rest]
+            resting = resting[np.isfinite(resting)]
+            std = float(resting.std() / np.sqrt(len(resting) / 10))
+            mean = float(resting.mean())
+            verdict = flag_if(abs(mean) - 2 * std > OFFSET * rated)
+            words = f"{mean / rated:+.2%} of the rated current, in {len(resting)} rows at rest"
+            items.append(Item(f"offset of {name}", verdict, words, mean, std, "A"))
     else:
-        out.append(_no_rest("log half a second with the bridge off, or at zero voltage"))
+        items.append(
+            _undetermined_offsets("log half a second with the bridge off, or at zero voltage")
+        )
     if len(names) == 3 and tuple(names) == PHASE_CURRENTS:
-        out += _sum(current, rated)
-    return out
+        items += _check_sum(current, rated)
+    return items
 
 
-def _no_rest(test: str) -> Item:
-    words = f"currents and voltages are never zero together in this log: {test}"
+def _undetermined_offsets(test: str) -> Item:
+    words = f"currents and voltages are never zero at the same time in this log: {test}"
     return Item("offsets of the current sensors", "cannot be told", words)
 
 
-def _at_rest(channels: dict[str, Array], log: Log, current: Array) -> NDArray[np.bool_]:
+def _find_rest(channels: dict[str, Array], log: Log, current: Array) -> NDArray[np.bool_]:
     voltage = [v for n, v in channels.items() if n.startswith(("u_", "d_"))]
     if not voltage:
         return np.zeros(current.shape[1], bool)
     u = np.stack(voltage)
     if log.frame == "duty":
         u = u - u.mean(axis=0)
-    quiet = np.abs(u).max(axis=0) <= REST_VOLTAGE * float(np.nanpercentile(np.abs(u), 99))
-    small = np.abs(current).max(axis=0) <= REST_CURRENT * float(
+    small_voltage = np.abs(u).max(axis=0) <= REST_VOLTAGE * float(np.nanpercentile(np.abs(u), 99))
+    small_current = np.abs(current).max(axis=0) <= REST_CURRENT * float(
         np.nanpercentile(np.abs(current), 99)
     )
-    rest = quiet & small
-    # only runs that are long enough
+    rest = small_voltage & small_current
+    # Keep only runs that are long enough.
     edges = np.flatnonzero(np.diff(np.concatenate([[0], rest.astype(int), [0]])))
     for start, stop in edges.reshape(-1, 2):
         if stop - start < REST_ROWS // 2:
@@ -149,39 +152,39 @@ def _at_rest(channels: dict[str, Array], log: Log, current: Array) -> NDArray[np
     return np.asarray(rest, bool)
 
 
-def _sum(current: Array, rated: float) -> list[Item]:
-    """Three phase currents add up to nothing but their offsets; what follows them is a gain.
+def _check_sum(current: Array, rated: float) -> list[Item]:
+    """Return items on the sum of the phase currents: its constant is offsets, the rest gains.
 
-    With gains g the sum is (1 - g_c/g_a) i_a + (1 - g_c/g_b) i_b of the measured currents.
+    With gains g, the sum is (1 - g_c/g_a) i_a + (1 - g_c/g_b) i_b of the measured currents.
     """
-    known = current[:, np.isfinite(current).all(axis=0)]
-    if known.shape[1] < 100:
+    finite = current[:, np.isfinite(current).all(axis=0)]
+    if finite.shape[1] < 100:
         return []
-    total = known.sum(axis=0)
-    # two of the phases: the third is less these
-    A = np.stack([known[0], known[1], np.ones(known.shape[1])], axis=1)
-    solved = np.linalg.lstsq(A, total, rcond=None)[0]
-    left = total - A @ solved
-    spread = np.sqrt(np.diag(np.linalg.pinv(A.T @ A))) * left.std() * 3.0
-    out = []
-    mean, std = float(solved[2]), float(spread[2])
-    verdict = look_if(abs(mean) - 2 * std > 2 * OFFSET * rated)
-    out.append(Item("sum of the three offsets", verdict, "", mean, std, "A"))
+    total = finite.sum(axis=0)
+    # Two phases suffice: the third is minus their sum.
+    A = np.stack([finite[0], finite[1], np.ones(finite.shape[1])], axis=1)
+    coefficients = np.linalg.lstsq(A, total, rcond=None)[0]
+    residual = total - A @ coefficients
+    stds = np.sqrt(np.diag(np.linalg.pinv(A.T @ A))) * residual.std() * 3.0
+    items = []
+    mean, std = float(coefficients[2]), float(stds[2])
+    verdict = flag_if(abs(mean) - 2 * std > 2 * OFFSET * rated)
+    items.append(Item("sum of the three offsets", verdict, "", mean, std, "A"))
     for k, name in enumerate(("i_a", "i_b")):
-        ratio = 1 / (1 - float(solved[k]))
-        gain, error = 100 * (ratio - 1), 100 * float(spread[k]) * ratio**2
+        ratio = 1 / (1 - float(coefficients[k]))
+        gain, error = 100 * (ratio - 1), 100 * float(stds[k]) * ratio**2
         if ratio < 0:
-            words = f"it or i_c has the opposite sign: --scale {name}=-1, if i_c is right"
-            out.append(Item(f"gain of {name}", "look at it", words))
+            words = f"{name} or i_c has the opposite sign: --scale {name}=-1 if i_c is right"
+            items.append(Item(f"gain of {name}", "look at it", words))
             continue
-        verdict = look_if(abs(gain) - 2 * error > 100 * GAIN)
-        words = "larger than that of i_c"
-        out.append(Item(f"gain of {name}", verdict, words, gain, error, "%"))
-    return out
+        verdict = flag_if(abs(gain) - 2 * error > 100 * GAIN)
+        words = "larger than the gain of i_c"
+        items.append(Item(f"gain of {name}", verdict, words, gain, error, "%"))
+    return items
 
 
 def rated_current(machine: RotatingMachine, channels: dict[str, Array]) -> float:
-    """The rated current [A], or the largest one of the log."""
+    """Return the rated current [A], or the largest current of the log if unknown."""
     if machine.rated_current:
         return machine.rated_current
     currents = [values for name, values in channels.items() if name.startswith("i_")]

@@ -1,4 +1,4 @@
-"""Parameters of the machine and of its inverter from a whole log."""
+"""Identification of machine and inverter parameters from whole logs."""
 
 from .fit_result import Parameter
 from .identify import Identification, identify

@@ -1,4 +1,4 @@
-"""What an identification found: all that its report needs."""
+"""Result of an identification, with all that its report needs."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import Any
 from ..machines import RotatingMachine
 from .fit import ParameterFit
 from .map_fit import FoundMap
-from .segments import Piece
+from .segments import Segment
 
 UNITS = {"R_s": "Ω", "R_R": "Ω", "L_s": "H", "L_d": "H", "L_q": "H", "L_M": "H", "psi_f": "Wb"}
 UNITS |= {"inverter": "V"}
 ADVICE = (
-    "Record one with steps of load at several speeds, a run-up from rest, or both directions: the "
-    "resistance acts with the current, the inverter with its sign, the magnet with the speed, and "
-    "a lag with both"
+    "Record a log with steps of load at several speeds, a run-up from standstill, or both "
+    "directions: the resistance acts with the current, the inverter with its sign, the magnet with "
+    "the speed, and a lag with both"
 )
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: as given, as found, and its standard deviation, None if it was held."""
+    """One parameter: given value, identified value, standard deviation (None if held)."""
 
     name: str
     unit: str
@@ -32,7 +32,7 @@ class Parameter:
 
 
 def in_the_file(parameters: Iterable[Parameter]) -> dict[str, tuple[float, float]]:
-    """Name in the machine file → value and standard deviation, of what was not held."""
+    """Return name in the machine file → value and standard deviation, of fitted parameters."""
     return {
         "inverter_voltage" if p.name == "inverter" else p.name: (p.value, p.std)
         for p in parameters
@@ -42,28 +42,28 @@ def in_the_file(parameters: Iterable[Parameter]) -> dict[str, tuple[float, float
 
 @dataclass(frozen=True, eq=False)
 class FittedParameters:
-    """Parameters of a log.
+    """Parameters identified from a log.
 
     Attributes
     ----------
     machine : RotatingMachine
-        With the values found; the rest as given.
+        With the identified values; the others as given.
     parameters : list of Parameter
         All that `--free` names, in its order.
     untold : dict
-        Name → why this log cannot tell it.
+        Name → why this log cannot identify it.
     lag : float
         Voltage lag that fits best [samples]; as given unless free.
     before, after : ParameterFit
-        The fit as given, in which only the flux of magnets is fitted, and the final fit.
+        The fit with the given values, in which only the magnet flux is free, and the final fit.
     inverter_current : float
         Current at which the inverter's sign is smoothed [A].
-    pieces : list of Piece
-        Pieces of the log that were used.
+    pieces : list of Segment
+        Segments of the log that were used.
     rows : int
         Rows of the log.
     source : str
-        The log's name.
+        Name of the log.
     map : FoundMap, optional
         The flux map, if it was free.
     """
@@ -74,7 +74,7 @@ class FittedParameters:
     lag: float
     before: ParameterFit
     after: ParameterFit
-    pieces: list[Piece]
+    pieces: list[Segment]
     inverter_current: float
     rows: int
     source: str = ""
@@ -82,23 +82,23 @@ class FittedParameters:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What was found, as JSON can hold it."""
+        """The parameters as JSON can hold them."""
         return {
             "rows": self.rows,
             "lag": self.lag,
             "parameters": {
-                one.name: {
-                    "value": one.value,
-                    "std": one.std,
-                    "given": one.given,
-                    "unit": one.unit,
+                parameter.name: {
+                    "value": parameter.value,
+                    "std": parameter.std,
+                    "given": parameter.given,
+                    "unit": parameter.unit,
                 }
-                for one in self.parameters
+                for parameter in self.parameters
             },
             "untold": dict(self.untold),
         }
 
     @property
     def found(self) -> dict[str, tuple[float, float]]:
-        """Name in the machine file → value and standard deviation, of what the log told."""
+        """Name in the machine file → value and standard deviation, of identified parameters."""
         return in_the_file(self.parameters)

@@ -1,4 +1,4 @@
-"""The flux map that a log told: values, standard deviations, and where the log has been."""
+"""Flux map identified from a log: values, standard deviations, and the visited region."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from .relations import SATURATION, Saturating
 
 Complex = NDArray[np.complex128]
 
-#: Share of the rows that the visited region leaves out on each side: single samples are no visit.
+#: Share of the rows excluded on each side of the visited region, so that single samples do not
+#: count as visits.
 LEFT_OUT = 0.002
-#: Points of the grid that is written, in each direction.
+#: Points of the written grid in each direction.
 GRID = 21
-#: Step of numerical derivatives, over the standard deviation of a parameter.
+#: Step of numerical derivatives, in standard deviations of a parameter.
 STEP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class FoundMap:
-    """A flux map found in a log.
+    """Flux map identified from a log.
 
     Attributes
     ----------
@@ -33,7 +34,7 @@ class FoundMap:
     names : tuple of str
         Its free parameters.
     covariance, own_covariance : (names, names) ndarray
-        With and without what the held parameters may turn the map by.
+        With and without the uncertainty of the held parameters.
     visited : (points,) complex ndarray
         Corners of the region of currents d + j q that the log has visited [A].
     """
@@ -45,47 +46,54 @@ class FoundMap:
     visited: Complex
 
     def flux(self, current: ArrayLike) -> Complex:
-        """Flux at currents d + j q [Wb], (...)."""
+        """Return the flux at currents d + j q [Wb], (...)."""
         return self.model.flux(current)
 
     def flux_std(self, current: ArrayLike, *, own: bool = False) -> Complex:
-        """Standard deviations of psi_d + j of psi_q [Wb], (...); `own`: held parameters right."""
+        """Return the standard deviations of psi_d + j of psi_q [Wb], (...).
+
+        With `own`, the held parameters are taken as exact.
+        """
         covariance = self.own_covariance if own else self.covariance
         psi = self.flux(current)
         columns = []
         for k, name in enumerate(self.names):
             step = STEP * float(np.sqrt(self.covariance[k, k])) + 1e-300
             moved = self.model.model_copy(update={name: getattr(self.model, name) + step})
-            # what moves the current at this flux moves the flux at this current
-            off = (moved.current(psi) - self.model.current(psi)) / step
+            # Convert the change of current at this flux to the change of flux at this current.
+            current_change = (moved.current(psi) - self.model.current(psi)) / step
             dd, dq, qq = self.model.slopes(psi)
-            det = dd * qq - dq * dq
+            determinant = dd * qq - dq * dq
             columns.append(
-                -((qq * off.real - dq * off.imag) + 1j * (dd * off.imag - dq * off.real)) / det
+                -(
+                    (qq * current_change.real - dq * current_change.imag)
+                    + 1j * (dd * current_change.imag - dq * current_change.real)
+                )
+                / determinant
             )
-        by = np.stack(columns, axis=-1)
-        d = np.einsum("...i,ij,...j->...", by.real, covariance, by.real)
-        q = np.einsum("...i,ij,...j->...", by.imag, covariance, by.imag)
+        flux_change = np.stack(columns, axis=-1)
+        d = np.einsum("...i,ij,...j->...", flux_change.real, covariance, flux_change.real)
+        q = np.einsum("...i,ij,...j->...", flux_change.imag, covariance, flux_change.imag)
         return np.asarray(np.sqrt(d) + 1j * np.sqrt(q))
 
     def inside(self, current: ArrayLike) -> NDArray[np.bool_]:
-        """Whether the log has visited these currents, or their mirror image, (...)."""
+        """Return whether the log has visited these currents or their mirror images, (...)."""
         from scipy.spatial import Delaunay, QhullError
 
-        i = np.asarray(current, complex)
+        currents = np.asarray(current, complex)
         corners = np.stack([self.visited.real, self.visited.imag], -1)
         try:
             region = Delaunay(corners)
-        except QhullError:  # all on a line
-            return np.zeros(i.shape, bool)
-        images = [i, i.conj()]
+        except QhullError:  # all corners on a line
+            return np.zeros(currents.shape, bool)
+        images = [currents, currents.conj()]
         if not self.model.psi_f:
-            images += [-i, -i.conj()]
+            images += [-currents, -currents.conj()]
         points = [np.stack([image.real, image.imag], -1) for image in images]
         return np.asarray(np.any([region.find_simplex(p) >= 0 for p in points], axis=0))
 
     def grid(self) -> Complex:
-        """Currents of a table: the visited region's box and its mirror image, (d, q)."""
+        """Return the grid of a table, (d, q): the visited region's box and its mirror image."""
         d, q = self.visited.real, np.abs(self.visited.imag).max()
         ends = (d.min(), d.max()) if self.model.psi_f else (-np.abs(d).max(), np.abs(d).max())
         return np.asarray(
@@ -93,18 +101,18 @@ class FoundMap:
         )
 
     def csv(self) -> str:
-        """The table as text: current, flux, its standard deviation, and whether it was visited."""
+        """Return the table as CSV: current, flux, its standard deviation, and whether visited."""
         i = self.grid().ravel()
-        psi, std, seen = self.flux(i), self.flux_std(i), self.inside(i)
+        psi, std, visited = self.flux(i), self.flux_std(i), self.inside(i)
         rows = ["i_d,i_q,psi_d,psi_q,psi_d_std,psi_q_std,visited"]
         for k in range(len(i)):
             numbers = (i[k].real, i[k].imag, psi[k].real, psi[k].imag, std[k].real, std[k].imag)
-            rows.append(",".join(f"{x:.6g}" for x in numbers) + f",{int(seen[k])}")
+            rows.append(",".join(f"{x:.6g}" for x in numbers) + f",{int(visited[k])}")
         return "\n".join(rows) + "\n"
 
     def lines(self) -> list[str]:
-        """What was found, in words."""
-        out = []
+        """Return the parameters and the accuracy of the map as text, one statement per line."""
+        sentences = []
         units = {
             "a_d0": "1/H",
             "a_q0": "1/H",
@@ -115,62 +123,64 @@ class FoundMap:
         }
         for k, name in enumerate(self.names):
             std = np.sqrt(self.covariance[k, k])
-            out.append(f"{name} = {getattr(self.model, name):.4g} ± {std:.2g} {units[name]}")
+            sentences.append(f"{name} = {getattr(self.model, name):.4g} ± {std:.2g} {units[name]}")
         d, q = self.visited.real, self.visited.imag
         i = self.visited
         size = np.abs(self.flux(i)).max()
-        most, own = (float(np.abs(self.flux_std(i, own=part)).max()) for part in (False, True))
-        out.append(
-            f"Visited: i_d from {d.min():.3g} to {d.max():.3g} A, i_q from {q.min():.3g} to "
-            f"{q.max():.3g} A; there the map is known to ± {own:.2g} Wb or better "
-            f"({own / size:.2%} of the flux) if what is held is right. Elsewhere it is the model "
-            f"that speaks"
+        total_std, own_std = (
+            float(np.abs(self.flux_std(i, own=exact)).max()) for exact in (False, True)
         )
-        if most > HELD * own:
-            out.append(
-                f"With what is held as uncertain as the machine file says, ± {most:.2g} Wb: if "
-                f"resistance and inverter are known better, say so by R_s_std and "
-                f"inverter_voltage_std"
+        sentences.append(
+            f"Visited: i_d from {d.min():.3g} to {d.max():.3g} A, i_q from {q.min():.3g} to "
+            f"{q.max():.3g} A; there the flux is known to ± {own_std:.2g} Wb or better "
+            f"({own_std / size:.2%} of the flux) if the held parameters are right. Elsewhere the "
+            f"model extrapolates"
+        )
+        if total_std > HELD * own_std:
+            sentences.append(
+                f"With the uncertainty of the held parameters, ± {total_std:.2g} Wb. If "
+                f"resistance and inverter are known better, set R_s_std and inverter_voltage_std"
             )
         span_d, span_q, size_i = np.ptp(d), np.ptp(q), np.abs(i).max()
         for span, axis in ((span_d, "d"), (span_q, "q")):
             if span < FLAT * size_i:
-                out.append(
-                    f"i_{axis} hardly moves in this log: how psi_{axis} saturates is not told"
+                sentences.append(
+                    f"i_{axis} hardly changes in this log: the saturation of psi_{axis} cannot "
+                    f"be identified"
                 )
-        return out
+        return sentences
 
 
-#: Mention the held parameters if they make the map this many times less certain.
+#: Mention the held parameters if they increase the standard deviation by more than this factor.
 HELD = 1.5
-#: A current that moves by less than this share of the largest shows no saturation along it.
+#: A current that varies by less than this share of the largest does not identify saturation.
 FLAT = 0.3
 
 
-def found_map(relation: Saturating, found: ParameterFit) -> FoundMap:
-    """The map of a fit with free saturation."""
-    names: Sequence[str] = [n for n in found.free if n in SATURATION or n == "psi_f"]
-    places = [found.free.index(name) for name in names]
+def map_of_fit(relation: Saturating, fit: ParameterFit) -> FoundMap:
+    """Return the map of a fit with free saturation."""
+    names: Sequence[str] = [n for n in fit.free if n in SATURATION or n == "psi_f"]
+    places = [fit.free.index(name) for name in names]
     return FoundMap(
-        relation.with_values(found.values),
+        relation.with_values(fit.values),
         tuple(names),
-        found.covariance[np.ix_(places, places)],
-        found.own_covariance[np.ix_(places, places)],
-        _corners(found.current),
+        fit.covariance[np.ix_(places, places)],
+        fit.own_covariance[np.ix_(places, places)],
+        _corners(fit.current),
     )
 
 
 def _corners(current: Complex) -> Complex:
-    """Corners of the convex hull of the currents, without the outermost few."""
+    """Return the corners of the convex hull of the currents, without the outermost few."""
     from scipy.spatial import ConvexHull, QhullError
 
-    kept = current
+    inner = current
     for angle in np.linspace(0, np.pi, 8, endpoint=False):
         along = (current * np.exp(-1j * angle)).real
         low, high = np.quantile(along, [LEFT_OUT, 1 - LEFT_OUT])
-        at = (kept * np.exp(-1j * angle)).real
-        kept = kept[(at >= low) & (at <= high)]
+        inner_along = (inner * np.exp(-1j * angle)).real
+        inner = inner[(inner_along >= low) & (inner_along <= high)]
     try:
-        return np.asarray(kept[ConvexHull(np.stack([kept.real, kept.imag], -1)).vertices])
+        return np.asarray(inner[ConvexHull(np.stack([inner.real, inner.imag], -1)).vertices])
     except QhullError:
-        return kept
+        return inner

@@ -1,4 +1,4 @@
-"""One machine from many logs, and which of the logs disagrees with the others."""
+"""Identification of one machine from many logs, and the logs that disagree."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ..machines import Machine, as_machine, rotating
 from ..machines.heat import COPPER, NEODYMIUM
 from .identify import Identification, identify, identify_logs, read_free
 
-#: A log disagrees if a parameter is this many standard deviations from that of the others, and by
-#: this share of it: what is surely different but by less matters to nobody.
+#: A log disagrees if a parameter differs from the others' by this many standard deviations, and by
+#: this share: smaller differences do not matter in practice.
 DISAGREES, MATTERS = 4.0, 0.01
 
 
 @dataclass(frozen=True)
-class Alone:
-    """What one of the logs tells by itself.
+class LogFit:
+    """Parameters identified from one log alone.
 
     Attributes
     ----------
@@ -33,10 +33,10 @@ class Alone:
     told : dict
         Name → value and standard deviation.
     failed : str
-        Why it tells nothing; empty if it does.
+        Why no parameter could be identified; empty if some were.
     apart : dict
-        Name → by how much it is off the others, and by how many standard deviations; of those that
-        disagree.
+        Name → difference from the other logs, and this in standard deviations; only of parameters
+        that disagree.
     """
 
     log: str
@@ -46,101 +46,107 @@ class Alone:
 
     @property
     def words(self) -> str:
-        """What is unlike the others, and what it may be."""
+        """How the log differs from the others, with a likely cause; or why it failed."""
         if self.failed:
-            return f"{self.log}: alone it tells nothing: {self.failed}"
-        off = []
-        for name, (by, sigmas) in self.apart.items():
+            return f"{self.log}: no parameter can be identified: {self.failed}"
+        differences = []
+        for name, (difference, sigmas) in self.apart.items():
             value = self.told[name][0]
-            base = value - by
-            share = f" ({100 * by / base:+.1f} %)" if base else ""
-            off.append(f"{name} = {value:.4g}, {sigmas:.0f} standard deviations off{share}")
-        return f"{self.log}: {'; '.join(off)}{_cause(self)}"
+            base = value - difference
+            share = f" ({100 * difference / base:+.1f} %)" if base else ""
+            differences.append(
+                f"{name} = {value:.4g}, {sigmas:.0f} standard deviations from the others{share}"
+            )
+        return f"{self.log}: {'; '.join(differences)}{_likely_cause(self)}"
 
 
-def _cause(one: Alone) -> str:
-    """What the differences may come from."""
+def _likely_cause(log_fit: LogFit) -> str:
+    """Return the likely cause of the differences, as the end of a sentence."""
     share = {
-        name: by / (one.told[name][0] - by)
-        for name, (by, _) in one.apart.items()
-        if one.told[name][0] != by
+        name: difference / (log_fit.told[name][0] - difference)
+        for name, (difference, _) in log_fit.apart.items()
+        if log_fit.told[name][0] != difference
     }
     R, psi = share.get("R_s"), share.get("psi_f")
-    moved = [name for name in share if name.startswith("L_")]
-    if moved:
-        return ": another motor, or another saturation"
-    if R is not None and psi is None and "psi_f" in one.told:
-        return f": as copper {R / COPPER:+.0f} K would, the magnets as they were; or a contact"
+    inductances = [name for name in share if name.startswith("L_")]
+    if inductances:
+        return "; likely cause: another motor, or other saturation"
+    if R is not None and psi is None and "psi_f" in log_fit.told:
+        return (
+            f"; likely cause: copper {R / COPPER:+.0f} K with unchanged magnets, or a bad contact"
+        )
     if R is not None and psi is None:
-        return f": as copper {R / COPPER:+.0f} K would"
+        return f"; likely cause: copper {R / COPPER:+.0f} K"
     if R is not None and psi is not None and R * psi < 0:
-        return f": as heat would, copper {R / COPPER:+.0f} K and magnets {psi / NEODYMIUM:+.0f} K"
+        return f"; likely cause: heat, copper {R / COPPER:+.0f} K, magnets {psi / NEODYMIUM:+.0f} K"
     if psi is not None:
-        return ": another motor, or magnets that changed"
+        return "; likely cause: another motor, or changed magnets"
     return ""
 
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """One machine from many logs.
+    """One machine identified from many logs.
 
     Attributes
     ----------
     together : Identification
-        From pieces of all logs that have usable ones.
-    alone : tuple of Alone
-        Every log by itself, in the order given.
+        From segments of all usable logs.
+    alone : tuple of LogFit
+        Each log on its own, in the given order.
     twice : dict
-        Logs that are not taken, as they have the content of another → that one.
+        Logs that were ignored → the log with the same content.
     """
 
     together: Identification
-    alone: tuple[Alone, ...]
+    alone: tuple[LogFit, ...]
     twice: dict[str, str]
 
     @property
-    def failed(self) -> tuple[Alone, ...]:
-        """Logs that tell nothing."""
-        return tuple(one for one in self.alone if one.failed)
+    def failed(self) -> tuple[LogFit, ...]:
+        """Logs from which no parameter can be identified."""
+        return tuple(log for log in self.alone if log.failed)
 
     @property
     def machine(self) -> Machine:
         return self.together.machine
 
     @property
-    def disagreeing(self) -> tuple[Alone, ...]:
-        """Logs that are unlike the others."""
-        return tuple(one for one in self.alone if one.apart)
+    def disagreeing(self) -> tuple[LogFit, ...]:
+        """Logs that disagree with the others."""
+        return tuple(log for log in self.alone if log.apart)
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What was found, as JSON can hold it."""
+        """The results as JSON can hold them."""
         return self.together.facts | {
             "logs": [
                 {
-                    "log": one.log,
-                    "told": {name: list(pair) for name, pair in one.told.items()},
-                    "failed": one.failed or None,
-                    "apart": {name: list(pair) for name, pair in one.apart.items()},
+                    "log": log.log,
+                    "told": {name: list(pair) for name, pair in log.told.items()},
+                    "failed": log.failed or None,
+                    "apart": {name: list(pair) for name, pair in log.apart.items()},
                 }
-                for one in self.alone
+                for log in self.alone
             ],
             "twice": self.twice,
         }
 
     def lines(self) -> list[str]:
-        """The machine, then the logs that disagree or tell nothing."""
-        out = self.together.lines()
+        """Return the lines on the machine, then the logs that disagree or failed."""
+        lines = self.together.lines()
         failed = self.failed
-        out += [f"{one} is {first} again: it counts once" for one, first in self.twice.items()]
-        out += [f"Unlike the others: {one.words}" for one in self.disagreeing]
-        out += [f"Of no use: {one.words}" for one in failed]
+        lines += [
+            f"{copy} is a copy of {first}: it counts once" for copy, first in self.twice.items()
+        ]
+        lines += [f"Disagrees with the others: {log.words}" for log in self.disagreeing]
+        lines += [f"Not usable: {log.words}" for log in failed]
         useful = len(self.alone) - len(failed)
         if useful == 1:
-            out.append("Only one log is left: there is nothing to compare it with")
+            lines.append("Only one log is usable: there is no other to compare it with")
         elif not self.disagreeing:
-            out.append(f"{useful} logs agree")
-        return out
+            lines.append(f"{useful} logs agree")
+        return lines
 
 
 def identify_many(
@@ -153,70 +159,74 @@ def identify_many(
     progress: Callable[[int, int], Any] = lambda done, total: None,
     **layout: Any,
 ) -> Pooled:
-    """Fit one machine to pieces of many logs, and say which log disagrees.
+    """Fit one machine to segments of many logs, and find the logs that disagree.
 
     Parameters
     ----------
     logs : sequence of paths
-        At least two of different content; one that stands there twice counts once.
+        At least two with different content; copies count once.
     machine, free, layout
         See :func:`fluxobs.identify`.
     workers, scheduler
-        For the fits of each log alone; see :func:`fluxobs.core.engine.compute`.
+        For the fits of single logs; see :func:`fluxobs.core.engine.compute`.
     progress : callable
-        Called with the number of fits done, and of all.
+        Called with the number of fits done and of all fits.
 
     Raises
     ------
     FluxobsError
-        There is one log only, none is of any use, or together they do not tell the parameters.
+        There is only one log, no log is usable, or together they identify no parameter.
     """
-    given = rotating(as_machine(machine), "identification")
-    names = read_free(free, given)
-    twice = copies(logs)
+    rotating_machine = rotating(as_machine(machine), "identification")
+    names = read_free(free, rotating_machine)
+    twice = find_copies(logs)
     paths = [path for path in map(str, logs) if path not in twice]
     if len(paths) < 2:
-        raise FluxobsError(f"{paths[0]}: one log, and copies of it; give others of this machine")
+        raise FluxobsError(
+            f"{paths[0]}: all other logs are copies of this one; give other logs of this machine"
+        )
     total = len(paths) + 1
     progress(0, total)
-    work = _Each(given, names, dict(layout))
-    found: dict[str, tuple[dict[str, tuple[float, float]], str]] = {}
-    for path, told in compute(paths, work, workers, scheduler, _lost):
-        found[path] = told
-        progress(len(found), total)
-    useful: list[Source] = [path for path in paths if found[path][0]]
+    fit_log = _FitLog(rotating_machine, names, dict(layout))
+    fits: dict[str, tuple[dict[str, tuple[float, float]], str]] = {}
+    for path, fit in compute(paths, fit_log, workers, scheduler, _report_lost_worker):
+        fits[path] = fit
+        progress(len(fits), total)
+    useful: list[Source] = [path for path in paths if fits[path][0]]
     if not useful:
-        reasons = "; ".join(f"{Path(path).name}: {why}" for path, (_, why) in found.items())
-        raise FluxobsError(f"none of {len(paths)} logs tells anything ({reasons})")
-    together = identify_logs([open_for(one, given, **layout) for one in useful], given, names)
+        reasons = "; ".join(f"{Path(path).name}: {why}" for path, (_, why) in fits.items())
+        raise FluxobsError(f"none of {len(paths)} logs identifies a parameter ({reasons})")
+    together = identify_logs(
+        [open_for(path, rotating_machine, **layout) for path in useful], rotating_machine, names
+    )
     progress(total, total)
-    told_by = {path: told for path, (told, _) in found.items()}
+    told_by = {path: fit for path, (fit, _) in fits.items()}
     alone = tuple(
-        Alone(Path(path).name, told_by[path], found[path][1], _apart(path, told_by))
+        LogFit(Path(path).name, told_by[path], fits[path][1], _find_differences(path, told_by))
         for path in paths
     )
     return Pooled(together, alone, twice)
 
 
-def copies(logs: Sequence[str | Path]) -> dict[str, str]:
-    """Logs that have the content of an earlier one → that one."""
-    first: dict[str, str] = {}
-    out = {}
+def find_copies(logs: Sequence[str | Path]) -> dict[str, str]:
+    """Return logs that have the same content as an earlier one → the earlier one."""
+    path_by_content: dict[str, str] = {}
+    copies = {}
     for path in map(str, logs):
         try:
             content = hash_file(Path(path))
-        except FluxobsError:  # its fit says so
+        except FluxobsError:  # unreadable: its fit reports it
             continue
-        if content in first:
-            out[path] = first[content]
+        if content in path_by_content:
+            copies[path] = path_by_content[content]
         else:
-            first[content] = path
-    return out
+            path_by_content[content] = path
+    return copies
 
 
 @dataclass(frozen=True)
-class _Each:
-    """The fit of one log alone; as a function it is sent to the workers."""
+class _FitLog:
+    """Function that fits one log; workers receive it as an object."""
 
     machine: Machine
     free: tuple[str, ...]
@@ -224,33 +234,40 @@ class _Each:
 
     def __call__(self, path: str) -> tuple[dict[str, tuple[float, float]], str]:
         try:
-            found = identify(path, self.machine, free=self.free, **self.layout)
+            identification = identify(path, self.machine, free=self.free, **self.layout)
         except FluxobsError as error:
             return {}, str(error)
-        told = {one.name: (one.value, one.std) for one in found.parameters if one.std is not None}
+        told = {p.name: (p.value, p.std) for p in identification.parameters if p.std is not None}
         return told, ""
 
 
-def _lost(path: str) -> tuple[dict[str, tuple[float, float]], str]:
-    return {}, f"{path}: its worker died five times; take fewer workers"
+def _report_lost_worker(path: str) -> tuple[dict[str, tuple[float, float]], str]:
+    return {}, f"{path}: its worker died five times; use fewer workers"
 
 
-def _apart(
+def _find_differences(
     path: str, told: Mapping[str, Mapping[str, tuple[float, float]]]
 ) -> dict[str, tuple[float, float]]:
-    """Parameters of a log that are off those of the others: their median, which one more log that
-    disagrees does not move, and what they scatter by."""
-    out = {}
+    """Return the parameters of a log that differ from the median of the others.
+
+    The limit accounts for the scatter of the others; median and scatter are robust, so one more log
+    that disagrees does not shift them.
+    """
+    differences = {}
     for name, (value, std) in told[path].items():
-        others = [one[name] for other, one in told.items() if other != path and name in one]
+        others = [
+            parameters[name]
+            for other, parameters in told.items()
+            if other != path and name in parameters
+        ]
         if not others:
             continue
         values = np.array([v for v, _ in others])
-        middle = float(np.median(values))
-        spread = 1.4826 * float(np.median(np.abs(values - middle)))
-        usual = float(np.median([s for _, s in others])) / np.sqrt(len(others))
-        by = value - middle
-        sigmas = abs(by) / float(np.sqrt(std**2 + spread**2 + usual**2))
-        if sigmas > DISAGREES and abs(by) > MATTERS * abs(middle):
-            out[name] = (by, sigmas)
-    return out
+        median = float(np.median(values))
+        spread = 1.4826 * float(np.median(np.abs(values - median)))
+        median_std = float(np.median([s for _, s in others])) / np.sqrt(len(others))
+        difference = value - median
+        sigmas = abs(difference) / float(np.sqrt(std**2 + spread**2 + median_std**2))
+        if sigmas > DISAGREES and abs(difference) > MATTERS * abs(median):
+            differences[name] = (difference, sigmas)
+    return differences

@@ -1,7 +1,7 @@
-"""The relation between flux and current as residuals of a log, with derivatives.
+"""Relations between flux and current as residuals of a log, with derivatives.
 
-Each relation gives for the rows of a piece the residual, its derivatives by flux and by its own
-parameters, with the angle eliminated (docs/theory.md, sections 13 and 14).
+A relation returns, for the rows of a segment, the residual and its derivatives by the flux and by
+the parameters of the relation. The angle is eliminated (docs/theory.md, sections 13 and 14).
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from ..machines.model.flux_map import FluxMap
 
 Complex = NDArray[np.complex128]
 
-#: Rounds in which an angle is refined: each takes an error to the square of it, or nearly.
+#: Iterations of the angle; convergence is nearly quadratic.
 ROUNDS = 6
-#: Largest step of an angle in a round [rad].
+#: Largest step of the angle in an iteration [rad].
 LARGEST = 0.3
-#: Share by which a cage's parameters are moved for their derivatives.
+#: Relative step of a cage's parameters for numerical derivatives.
 STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """What a relation says of rows.
+    """Residual of a relation, linearised.
 
     Attributes
     ----------
     residual : (rows,) ndarray
         [Wb].
     to_flux : (rows,) complex ndarray
-        Its derivative by the flux: change = Re(conj(to_flux) dλ).
+        Derivative by the flux: the residual changes by Re(conj(to_flux) dλ).
     by_name : dict of str to (rows,) ndarray
-        Its derivatives by the relation's parameters.
+        Derivatives by the parameters of the relation.
     current : (rows,) complex ndarray
         i_d + j i_q [A].
     to_start : (rows,) complex ndarray, optional
-        Derivative of the residual by the flux of the first row, beyond that by its own.
+        Additional derivative by the flux of the first row.
     """
 
     residual: Array
@@ -53,12 +53,12 @@ class Linearisation:
 
 
 class ResidualFunction(Protocol):
-    """How flux and current fit together."""
+    """A relation between flux and current, as a function."""
 
     def __call__(
         self, flux: Complex, current: Complex, values: Mapping[str, float]
     ) -> Linearisation:
-        """Residual and derivatives at these values [Wb], [A], of all rows."""
+        """Return residual and derivatives of all rows, from flux [Wb] and current [A]."""
         ...
 
 
@@ -84,9 +84,9 @@ def linear(flux: Complex, current: Complex, values: Mapping[str, float]) -> Line
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """A flux map: ``|x| - a_d``, x = λ - e^{jφ}(F - a_d), with the auxiliary flux a.
+    """Flux map: ``|x| - a_d``, x = λ - e^{jφ}(F - a_d), with the auxiliary flux a.
 
-    Another magnet flux than the map's adds to F. `L_q` is where the angle starts.
+    A magnet flux that differs from the map's adds to F. `L_q` gives the initial angle.
     """
 
     flux_map: FluxMap
@@ -99,38 +99,41 @@ class Mapped:
         length = np.abs(x)
         direction = x / length
         residual = length - np.abs(a.real) - (values["psi_f"] - self.psi_f)
-        lean = a.imag / np.where(np.abs(a.real) > 1e-9, a.real, np.inf)
-        to_flux = direction * (1 + 1j * lean)
+        tilt = a.imag / np.where(np.abs(a.real) > 1e-9, a.real, np.inf)
+        to_flux = direction * (1 + 1j * tilt)
         return Linearisation(residual, to_flux, {"psi_f": -np.ones(len(current))}, i)
 
 
-#: Parameters of the algebraic model that a log may tell.
+#: Parameters of the algebraic model that can be identified.
 SATURATION = ("a_d0", "a_dd", "a_q0", "a_qq", "a_dq")
 
 
 @dataclass(frozen=True)
 class Saturating:
-    """The algebraic model with free parameters: what is left of ``i - e^{jφ} I(e^{-jφ} λ)`` across
-    its own change with φ, times L_q.
+    """Algebraic saturation model with free parameters.
 
-    `model` holds the exponents; `L_q` is where the angle starts.
+    The residual is the component of ``i - e^{jφ} I(e^{-jφ} λ)`` perpendicular to its derivative by
+    φ, times L_q. `model` holds the exponents; `L_q` gives the initial angle.
     """
 
     model: AlgebraicSaturation
 
     def with_values(self, values: Mapping[str, float]) -> AlgebraicSaturation:
-        """The model with the parameters of a fit."""
+        """Return the model with the parameters of a fit."""
         names = (*SATURATION, *(("psi_f",) if self.model.psi_f > 0 else ()))
         return AlgebraicSaturation.model_construct(
             **self.model.model_dump() | {name: values[name] for name in names}
         )
 
     @staticmethod
-    def _at(
+    def _linearise(
         model: AlgebraicSaturation, psi: Complex, current: Complex
     ) -> tuple[tuple[Array, ...], Complex, Complex]:
-        """Slopes of the model; the derivative of ``e^{jφ} I(e^{-jφ} λ)`` by φ, j I - I'(j ψ); and
-        what is left of the current. All in rotor coordinates."""
+        """Return slopes of the model, derivative by φ, and error of the current.
+
+        The derivative is that of ``e^{jφ} I(e^{-jφ} λ)``, j I - I'(j ψ). All are in rotor
+        coordinates.
+        """
         i, slopes = model.current(psi), model.slopes(psi)
         (dd, dq, qq), d, q = slopes, psi.real, psi.imag
         g = 1j * i - ((-dd * q + dq * d) + 1j * (-dq * q + qq * d))
@@ -143,44 +146,48 @@ class Saturating:
         x = flux - values["L_q"] * current
         direction = x / np.abs(x)
         for _ in range(ROUNDS):
-            _, g, left = self._at(model, flux * direction.conj(), current * direction.conj())
-            step = (left * g.conj()).real / (np.abs(g) ** 2 + 1e-300)
+            _, g, current_error = self._linearise(
+                model, flux * direction.conj(), current * direction.conj()
+            )
+            step = (current_error * g.conj()).real / (np.abs(g) ** 2 + 1e-300)
             direction = direction * np.exp(1j * np.clip(step, -LARGEST, LARGEST))
         psi = flux * direction.conj()
-        (dd, dq, qq), g, left = self._at(model, psi, current * direction.conj())
+        (dd, dq, qq), g, current_error = self._linearise(model, psi, current * direction.conj())
         n = 1j * g / (np.abs(g) + 1e-300)
-        # In flux units by one inductance for all rows: currents have the same noise in all of them.
-        across = -n * values["L_q"]
-        residual = (left * across.conj()).real
-        # a flux across x acts as n' I' on the current
-        to = n.real * dd + n.imag * dq + 1j * (n.real * dq + n.imag * qq)
-        to_flux = direction * to * values["L_q"]
+        # One inductance converts all rows to flux: the noise of the currents is the same in all.
+        normal = -n * values["L_q"]
+        residual = (current_error * normal.conj()).real
+        # The flux acts on the current component along n by n' I'.
+        current_slope = n.real * dd + n.imag * dq + 1j * (n.real * dq + n.imag * qq)
+        to_flux = direction * current_slope * values["L_q"]
 
-        def by(change: NDArray[np.complexfloating]) -> Array:
-            return -(change * across.conj()).real
+        def project(change: NDArray[np.complexfloating]) -> Array:
+            return -(change * normal.conj()).real
 
         d, q = psi.real, psi.imag
         absolute_d, absolute_q = np.abs(d), np.abs(q)
         S, T, U, V = model.S, model.T, model.U, model.V
-        magnet = model.psi_f
+        psi_f = model.psi_f
         cross = absolute_d**U * absolute_q ** (V + 2) * d / (V + 2) + 1j * absolute_d ** (
             U + 2
         ) * absolute_q**V * q / (U + 2)
         by_name = {
-            "a_d0": by(d - magnet + 0j),
-            "a_dd": by(absolute_d**S * d - magnet ** (S + 1) + 0j),
-            "a_q0": by(1j * q),
-            "a_qq": by(1j * absolute_q**T * q),
-            "a_dq": by(cross),
-            "psi_f": by(-(model.a_d0 + (S + 1) * model.a_dd * magnet**S) * np.ones_like(psi)),
+            "a_d0": project(d - psi_f + 0j),
+            "a_dd": project(absolute_d**S * d - psi_f ** (S + 1) + 0j),
+            "a_q0": project(1j * q),
+            "a_qq": project(1j * absolute_q**T * q),
+            "a_dq": project(cross),
+            "psi_f": project(-(model.a_d0 + (S + 1) * model.a_dd * psi_f**S) * np.ones_like(psi)),
         }
         return Linearisation(residual, to_flux, by_name, current * direction.conj())
 
 
 @dataclass(frozen=True)
 class Cage:
-    """Rotor flux that follows its equation: ``|x| - ψ``, ``dψ/dt = R_R (i_d - ψ/L_M)``, from |x| of
-    the first row on (docs/theory.md, section 15)."""
+    """Cage rotor: ``|x| - ψ`` with ``dψ/dt = R_R (i_d - ψ/L_M)`` (docs/theory.md, section 15).
+
+    ψ starts at |x| of the first row.
+    """
 
     sample_time: float
 
@@ -195,20 +202,22 @@ class Cage:
         R_R, L_M = values["R_R"], values["L_M"]
         by_name = {}
         for name in ("R_R", "L_M"):
-            more, less = (
-                self._flux(i.real, first, **{"R_R": R_R, "L_M": L_M, name: values[name] * factor})
+            above, below = (
+                self._rotor_flux(
+                    i.real, first, **{"R_R": R_R, "L_M": L_M, name: values[name] * factor}
+                )
                 for factor in (1 + STEP, 1 - STEP)
             )
-            by_name[name] = -(more - less) / (2 * STEP * values[name])
-        left = np.exp(-R_R / L_M * self.sample_time * np.arange(len(x)))
-        by_name["L_s"] = -i.real + left * i.real[0]
-        residual = length - self._flux(i.real, first, R_R, L_M)
-        return Linearisation(residual, direction, by_name, i, -left * direction[0])
+            by_name[name] = -(above - below) / (2 * STEP * values[name])
+        decay = np.exp(-R_R / L_M * self.sample_time * np.arange(len(x)))
+        by_name["L_s"] = -i.real + decay * i.real[0]
+        residual = length - self._rotor_flux(i.real, first, R_R, L_M)
+        return Linearisation(residual, direction, by_name, i, -decay * direction[0])
 
-    def _flux(self, i_d: Array, first: float, R_R: float, L_M: float) -> Array:
-        """The flux from a first one on; i_d is linear between the rows."""
-        from scipy.signal import lfilter  # loaded only where a cage is identified
+    def _rotor_flux(self, i_d: Array, first: float, R_R: float, L_M: float) -> Array:
+        """Integrate the rotor flux from its first value; i_d is linear between the rows."""
+        from scipy.signal import lfilter  # slow to import, needed only for a cage
 
-        stays = float(np.exp(-R_R / L_M * self.sample_time))
-        driven = np.concatenate([[first], (1 - stays) * L_M * (i_d[1:] + i_d[:-1]) / 2])
-        return np.asarray(lfilter([1.0], [1.0, -stays], driven))
+        decay = float(np.exp(-R_R / L_M * self.sample_time))
+        excitation = np.concatenate([[first], (1 - decay) * L_M * (i_d[1:] + i_d[:-1]) / 2])
+        return np.asarray(lfilter([1.0], [1.0, -decay], excitation))

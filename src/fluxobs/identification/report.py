@@ -1,4 +1,4 @@
-"""An identification in words, as a machine file, and as a picture."""
+"""Report of an identification: text, machine file, HTML, and picture."""
 
 from __future__ import annotations
 
@@ -21,134 +21,149 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def lines(found: FittedParameters) -> list[str]:
-    """One parameter per line, then what the log cannot tell, then the residual."""
-    out = []
-    for p in found.parameters:
-        was = "not given" if p.given is None else f"given {p.given:.4g}"
-        if p.std is None:
-            out.append(f"{p.name} held at {p.value:.4g} {p.unit}: {found.untold[p.name]}")
+def lines(fit: FittedParameters) -> list[str]:
+    """Return one parameter per line, then unidentified parameters, then the residual."""
+    sentences = []
+    for parameter in fit.parameters:
+        given_text = "not given" if parameter.given is None else f"given {parameter.given:.4g}"
+        if parameter.std is None:
+            sentences.append(
+                f"{parameter.name} held at {parameter.value:.4g} {parameter.unit}: "
+                f"{fit.untold[parameter.name]}"
+            )
         else:
-            out.append(f"{p.name} = {p.value:.4g} ± {p.std:.2g} {p.unit} ({was}){_note(p, found)}")
-    if found.map is not None:
-        out += found.map.lines()
-    if found.untold:
-        out.append(
-            f"This log cannot tell {', '.join(found.untold)}: held as given. The others are right "
-            f"only as far as these are. {ADVICE}."
+            sentences.append(
+                f"{parameter.name} = {parameter.value:.4g} ± {parameter.std:.2g} "
+                f"{parameter.unit} ({given_text}){_note(parameter, fit)}"
+            )
+    if fit.map is not None:
+        sentences += fit.map.lines()
+    if fit.untold:
+        sentences.append(
+            f"This log cannot identify {', '.join(fit.untold)}: held at the given value, on "
+            f"which the others depend. {ADVICE}."
         )
-    used = sum(len(piece) for piece in found.pieces)
-    if used < 0.99 * found.rows:
-        out.append(
-            f"{used} of {found.rows} rows were used: those without a gap, in pieces in which the "
-            f"position is known"
+    used = sum(len(piece) for piece in fit.pieces)
+    if used < 0.99 * fit.rows:
+        sentences.append(
+            f"{used} of {fit.rows} rows were used: segments without a gap in which the position "
+            f"is known"
         )
-    size = _flux(found)
-    before, after = found.before.rms() / size, found.after.rms() / size
-    out.append(
-        f"Residual of the relation: {before:.2%} of the flux {_as_given(found)}, {after:.2%} as "
-        f"found"
+    size = _reference_flux(fit)
+    before, after = fit.before.rms() / size, fit.after.rms() / size
+    sentences.append(
+        f"Residual: {before:.2%} of the flux with the {_describe_given(fit)}, {after:.2%} with the "
+        f"identified ones"
     )
-    if not found.after.converged:
-        out.append("Warning: the fit did not converge; treat its values with caution")
-    return out
+    if not fit.after.converged:
+        sentences.append("Warning: the fit did not converge; treat its values with caution")
+    return sentences
 
 
-def _flux(found: FittedParameters) -> float:
-    """The flux to which residuals are related: the magnet's, or the mean of the start [Wb]."""
-    lengths = [np.linalg.norm(piece.start) for piece in found.pieces]
-    return found.after.values["psi_f"] or float(np.mean(lengths))
+def _reference_flux(fit: FittedParameters) -> float:
+    """Return the flux that residuals refer to: the magnet flux, or the mean initial flux [Wb]."""
+    lengths = [np.linalg.norm(piece.start) for piece in fit.pieces]
+    return fit.after.values["psi_f"] or float(np.mean(lengths))
 
 
-def _note(parameter: Parameter, found: FittedParameters) -> str:
+def _note(parameter: Parameter, fit: FittedParameters) -> str:
     if parameter.name == "inverter":
-        return f", its sign smoothed at inverter_current = {found.inverter_current:.3g} A"
+        return f", its sign smoothed at inverter_current = {fit.inverter_current:.3g} A"
     if parameter.name == "lag":
-        return f"; not part of a machine file: give --lag {parameter.value:.2g}"
+        return f"; a machine file has no lag: give --lag {parameter.value:.2g}"
     return ""
 
 
-def _as_given(found: FittedParameters) -> str:
-    name = found.machine.flux_name
-    return f"as given but for {name}, which is fitted" if found.before.free else "as given"
+def _describe_given(fit: FittedParameters) -> str:
+    name = fit.machine.flux_name
+    return f"given values ({name} fitted)" if fit.before.free else "given values"
 
 
-def _head(found: FittedParameters) -> list[str]:
-    """The first lines of the machine file."""
-    head = [f"Identified from {found.source} by `fluxobs identify`."]
-    if found.untold:
-        head.append(f"The log did not tell {', '.join(found.untold)}: held as given.")
+def _head(fit: FittedParameters) -> list[str]:
+    """Return the comment lines at the head of the machine file."""
+    head = [f"Identified from {fit.source} by `fluxobs identify`."]
+    if fit.untold:
+        head.append(
+            f"Not identifiable from this log, held at the given value: {', '.join(fit.untold)}."
+        )
     return head
 
 
-def write(found: FittedParameters, path: Path, force: bool) -> None:
-    """Write the machine file, the map's table, the picture or a report in HTML; FluxobsError if it
-    cannot be written."""
+def write(fit: FittedParameters, path: Path, force: bool) -> None:
+    """Write the machine file, the table of the map, the picture or an HTML report.
+
+    Raises
+    ------
+    FluxobsError
+        The file cannot be written, or there is no map to write.
+    """
     if path.suffix.lower() == HTML:
-        title = f"{Path(found.source).name}: the {found.machine.kind} that it shows"
-        write_text(path, document(title, html_of(found)))
+        title = f"{Path(fit.source).name}: identified {fit.machine.kind}"
+        write_text(path, document(title, html_of(fit)))
     elif path.suffix.lower() in FORMATS:
-        save(figure(found), path)
+        save(figure(fit), path)
     elif path.suffix.lower() == ".csv":
-        if found.map is None:
-            raise FluxobsError(f"{path}: there is no map to write; identify with free = map")
-        write_text(check_out(path, Path(found.source)), found.map.csv())
+        if fit.map is None:
+            raise FluxobsError(f"{path}: there is no flux map to write; identify with free = map")
+        write_text(check_out(path, Path(fit.source)), fit.map.csv())
     else:
-        write_machine(path, found.machine, _head(found), found.found, force)
+        write_machine(path, fit.machine, _head(fit), fit.found, force)
 
 
-def html_of(found: FittedParameters) -> str:
-    """The parameters, what the log cannot tell, and the picture."""
+def html_of(fit: FittedParameters) -> str:
+    """Return the parameters, the unidentified ones, and the picture as HTML."""
     rows = [
         (
-            one.name,
-            f"{one.value:.4g}" + ("" if one.std is None else f" ± {one.std:.2g}"),
-            one.unit,
-            "not given" if one.given is None else f"{one.given:.4g}",
-            f"held: {found.untold[one.name]}" if one.name in found.untold else "",
+            parameter.name,
+            f"{parameter.value:.4g}" + ("" if parameter.std is None else f" ± {parameter.std:.2g}"),
+            parameter.unit,
+            "not given" if parameter.given is None else f"{parameter.given:.4g}",
+            f"held: {fit.untold[parameter.name]}" if parameter.name in fit.untold else "",
         )
-        for one in found.parameters
+        for parameter in fit.parameters
     ]
-    words = lines(found)[len(found.parameters) :]
-    shown = table(("parameter", "found", "unit", "given", ""), rows)
-    return shown + bullets(words) + picture(figure(found), " ".join(words))
+    sentences = lines(fit)[len(fit.parameters) :]
+    parameter_table = table(("parameter", "found", "unit", "given", ""), rows)
+    return parameter_table + bullets(sentences) + picture(figure(fit), " ".join(sentences))
 
 
-def figure(found: FittedParameters) -> Figure:
-    """Draw the residual over time, before and after the fit."""
+def figure(fit: FittedParameters) -> Figure:
+    """Draw the residual over time, before and after the fit, and the map if there is one."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
-        if found.map is None:
-            drawn = new_figure(figsize=(9, 4.5))
-            _residuals(drawn.subplots(), found)
+        if fit.map is None:
+            drawing = new_figure(figsize=(9, 4.5))
+            _plot_residuals(drawing.subplots(), fit)
         else:
-            drawn = new_figure(figsize=(9, 8.5))
-            axes = drawn.subplot_mosaic([["d", "q"], ["residual", "residual"]])
-            _map(axes["d"], axes["q"], found.map)
-            _residuals(axes["residual"], found)
-    return drawn
+            drawing = new_figure(figsize=(9, 8.5))
+            axes = drawing.subplot_mosaic([["d", "q"], ["residual", "residual"]])
+            _plot_map(axes["d"], axes["q"], fit.map)
+            _plot_residuals(axes["residual"], fit)
+    return drawing
 
 
-def _map(along_d: Axes, along_q: Axes, told: FoundMap) -> None:
-    """Flux over current along each axis, at three currents of the other; ± 2σ, visited marked."""
-    d, q = told.visited.real, told.visited.imag
-    grid = told.grid()
+def _plot_map(along_d: Axes, along_q: Axes, flux_map: FoundMap) -> None:
+    """Plot flux over current of each axis, for three currents of the other axis, with ± 2σ."""
+    d, q = flux_map.visited.real, flux_map.visited.imag
+    grid = flux_map.grid()
     ends = (grid.real[0, 0], grid.real[-1, 0]), (grid.imag[0, 0], grid.imag[0, -1])
     for axes, name, span, others in (
         (along_d, "d", ends[0], np.linspace(q.min(), q.max(), 3)),
         (along_q, "q", ends[1], np.linspace(d.min(), d.max(), 3)),
     ):
-        at = np.linspace(*span, 121)
+        currents = np.linspace(*span, 121)
         for other, colour in zip(others, (BLUE, ORANGE, GREY), strict=True):
-            i = at + 1j * other if name == "d" else other + 1j * at
-            flux, std = told.flux(i), told.flux_std(i)
+            i = currents + 1j * other if name == "d" else other + 1j * currents
+            flux, std = flux_map.flux(i), flux_map.flux_std(i)
             value, width = (flux.real, std.real) if name == "d" else (flux.imag, std.imag)
-            seen = told.inside(i)
-            fixed = f"i_{'q' if name == 'd' else 'd'} = {other:.3g} A"
-            axes.fill_between(at, value - 2 * width, value + 2 * width, color=colour, alpha=0.25)
-            axes.plot(at, value, color=colour, linewidth=0.8, linestyle=":")
-            axes.plot(at, np.where(seen, value, np.nan), color=colour, label=fixed)
+            visited = flux_map.inside(i)
+            label = f"i_{'q' if name == 'd' else 'd'} = {other:.3g} A"
+            axes.fill_between(
+                currents, value - 2 * width, value + 2 * width, color=colour, alpha=0.25
+            )
+            axes.plot(currents, value, color=colour, linewidth=0.8, linestyle=":")
+            axes.plot(currents, np.where(visited, value, np.nan), color=colour, label=label)
         axes.set_xlabel(f"i_{name} [A]")
         axes.set_ylabel(f"psi_{name} [Wb]")
         axes.legend(loc="upper left", frameon=False, fontsize=8)
@@ -162,22 +177,25 @@ def _map(along_d: Axes, along_q: Axes, told: FoundMap) -> None:
     )
 
 
-def _residuals(axes: Axes, found: FittedParameters) -> None:
-    size = _flux(found)
-    styles = ((found.before, _as_given(found), ORANGE), (found.after, "as identified", BLUE))
+def _plot_residuals(axes: Axes, fit: FittedParameters) -> None:
+    size = _reference_flux(fit)
+    styles = (
+        (fit.before, _describe_given(fit), ORANGE),
+        (fit.after, "identified values", BLUE),
+    )
     for fitted, label, colour in styles:
-        begin = 0.0
-        for k, (piece, residual) in enumerate(zip(found.pieces, fitted.residuals, strict=True)):
+        start = 0.0
+        for k, (piece, residual) in enumerate(zip(fit.pieces, fitted.residuals, strict=True)):
             axes.plot(
-                begin + piece.t,
+                start + piece.t,
                 100 * residual / size,
                 color=colour,
                 linewidth=0.8,
                 label=f"{label}: {100 * fitted.rms() / size:.2f} % rms" if k == 0 else None,
             )
-            begin += float(piece.t[-1])
+            start += float(piece.t[-1])
     axes.axhline(0, color=GREY, linewidth=0.5)
-    axes.set_xlabel("time in the pieces that were used [s]")
-    axes.set_ylabel("residual of the relation [% of the flux]")
-    axes.set_title("How well the relation holds")
+    axes.set_xlabel("time in the segments used [s]")
+    axes.set_ylabel("residual [% of the flux]")
+    axes.set_title("Residual of the machine's relation")
     legend(axes)

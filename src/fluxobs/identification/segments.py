@@ -1,4 +1,4 @@
-"""Contiguous pieces of a log, integrated, as the fit needs them."""
+"""Contiguous segments of a log, integrated for the fit."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from ..observers import LeastSquaresObserver
 from ..observers.adaptive import OFFSET_SHARE
 from ..observers.for_log import plain_for
 
-#: A piece, over which the drift is taken as constant, lasts this many turns, at least this long
-#: [s], and is no shorter than this many rows.
+#: A segment lasts this many turns, but at least this time [s] and this many rows. The drift is
+#: assumed constant within it.
 TURNS, SECONDS, SHORTEST = 2.5, 0.4, 100
-#: A cage's flux stands within this share of its usual length: a wrong R_s makes less of it, field
-#: weakening more.
+#: A cage's flux is constant if it stays within this share of its typical length: a wrong R_s
+#: changes it by less, field weakening by more.
 SAME_FLUX = 0.08
-#: Harder knees of the inverter's sign, as shares of the usual one: with all three any usual curve
-#: is met so well that R_s and V_d are right (tests/identification/test_identify.py); with the last
-#: one alone, V_d of the demo log came out 7 % too large.
+#: Harder knees of the inverter's sign, as shares of the usual one. All three together approximate
+#: any usual curve well enough for a right R_s and V_d (tests/identification/test_identify.py); with
+#: only the last one, V_d of the demo log was 7 % too large.
 HARDER = (0.45, 0.2)
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """Rows without a gap; integrals start at the first row.
+class Segment:
+    """Segment without a gap; integrals start at its first row.
 
     Attributes
     ----------
@@ -47,19 +47,19 @@ class Piece:
     charge : (rows, 2) array
         ∫ i dt [As].
     inverter : (rows, 2) array
-        ∫ of the inverter's direction [s]; V_d times this is lost.
+        ∫ of the inverter's direction [s]; V_d times this is the loss.
     harder : (2, rows, 2) array
-        By how much it differs with harder knees [s].
+        Change of `inverter` with harder knees [s].
     offset : (2, rows, 2) array
-        By how much it differs with an ampere of offset in α, and in β, of the currents [s/A].
+        Change of `inverter` per ampere of current offset in α, and in β [s/A].
     curve : (rows, 2) array
-        By how much it differs if the loss goes on to grow with the current [s].
+        Change of `inverter` if the loss keeps growing with the current [s].
     start : (2,) array
         Flux at the first row, from the observer [Wb].
     drift : (2,) array
         Drift, from the observer [V].
     lengths : (2,) array
-        Least and largest length of the position vector, from the observer [Wb].
+        Smallest and largest length of the position vector, from the observer [Wb].
     """
 
     t: Array
@@ -78,102 +78,112 @@ class Piece:
         return len(self.t)
 
 
-def typical_length(data: Sequence[Piece], inductance: float) -> float:
-    """Median over the pieces of the length of λ - L i, from the observer [Wb]."""
-    lengths = [np.linalg.norm(piece.start - inductance * piece.current[0]) for piece in data]
+def typical_length(data: Sequence[Segment], inductance: float) -> float:
+    """Return the median length of λ - L i over the segments, from the observer [Wb]."""
+    lengths = [np.linalg.norm(segment.start - inductance * segment.current[0]) for segment in data]
     return float(np.median(lengths))
 
 
 def smoothing_current(machine: RotatingMachine, scales: Scales) -> float:
-    """Phase current below which the inverter's sign is smoothed [A]."""
+    """Return the phase current below which the inverter's sign is smoothed [A]."""
     return machine.inverter_current or SMOOTHING * (machine.rated_current or scales.current)
 
 
 def offset_std(machine: RotatingMachine, scales: Scales) -> float:
-    """Standard deviation of the currents' offsets before the log [A]."""
+    """Return the prior standard deviation of the current offsets [A]."""
     return OFFSET_SHARE * (machine.rated_current or scales.current)
 
 
-def pieces(
+def cut_segments(
     log: Log,
     machine: RotatingMachine,
     lags: tuple[int, ...],
     seconds: float = SECONDS,
     moving: bool = False,
-) -> tuple[list[Piece], Scales]:
-    """Cut the log where samples are missing and where pieces get longer than `seconds` or some
-    turns.
+) -> tuple[list[Segment], Scales]:
+    """Cut a log into segments at gaps and after `seconds` or TURNS, whichever is longer.
 
-    Each piece starts from the observer's flux at its most certain row. Pieces in which the observer
-    never knows the position are left out.
+    The initial flux of a segment comes from the observer, at its most certain row. Segments in
+    which the observer never knows the position are skipped; unless `moving`, also those in which
+    the flux of a cage changes.
 
     Raises
     ------
     FluxobsError
-        No piece is left.
+        No segment remains.
     """
     observer, scales = plain_for(log, machine)
-    found: list[Piece] = []
+    segments: list[Segment] = []
     smoothing = smoothing_current(machine, scales)
-    for parts in zip(*(excerpts(log.lagged(lag)) for lag in lags), strict=True):
-        voltage = np.stack([part.voltage for part in parts])
+    for excerpts_by_lag in zip(*(excerpts(log.lagged(lag)) for lag in lags), strict=True):
+        voltage = np.stack([excerpt.voltage for excerpt in excerpts_by_lag])
         settings = lags.index(0), machine.R_s, smoothing, offset_std(machine, scales), seconds
-        found += cut(observer, parts[0].current, voltage, *settings)
-    if machine.flux_moves and found and not moving:
-        found = _same_flux(found)
-        if not found:
+        segments += cut_excerpt(observer, excerpts_by_lag[0].current, voltage, *settings)
+    if machine.flux_moves and segments and not moving:
+        segments = _keep_constant_flux(segments)
+        if not segments:
             raise FluxobsError(
-                f"{log.table.path}: the rotor flux changes all the time in it; a log in which it "
-                f"stands for {SECONDS:g} s tells the parameters"
+                f"{log.table.path}: the rotor flux is never constant for {SECONDS:g} s; record a "
+                f"log in which it is"
             )
-    if not found:
+    if not segments:
         raise FluxobsError(
-            f"{log.table.path}: the position is never known in it, so nothing can be identified; "
-            f"does the machine turn, and do `fluxobs estimate` and its warnings look right?"
+            f"{log.table.path}: the position is never known, so no parameter can be identified. "
+            f"Does the machine turn? Look at the warnings of `fluxobs estimate`"
         )
-    return found, scales
+    return segments, scales
 
 
-def _same_flux(found: list[Piece]) -> list[Piece]:
-    """The pieces in which the flux stands at its usual length."""
-    usual = float(np.median([piece.lengths.mean() for piece in found]))
-    return [p for p in found if np.abs(p.lengths - usual).max() < SAME_FLUX * usual]
+def _keep_constant_flux(segments: list[Segment]) -> list[Segment]:
+    """Return the segments in which the flux is constant at its typical length."""
+    typical = float(np.median([segment.lengths.mean() for segment in segments]))
+    return [
+        segment
+        for segment in segments
+        if np.abs(segment.lengths - typical).max() < SAME_FLUX * typical
+    ]
 
 
-def cut(
+def cut_excerpt(
     observer: LeastSquaresObserver,
     current: Array,
     voltage: Array,
-    given: int,
+    given_lag: int,
     R_s: float,
     smoothing: float,
     offset: float,
     seconds: float,
-) -> list[Piece]:
-    """Cut a stretch, (rows, 2) and (lags, rows, 2), into pieces; the observer uses lag `given`."""
-    h, found = observer.sample_time, []
-    estimate = observer.run(voltage[given], current)
+) -> list[Segment]:
+    """Cut an excerpt of a log into segments.
+
+    `current` is (rows, 2), `voltage` (lags, rows, 2); the observer uses the lag of index
+    `given_lag`.
+    """
+    h, segments = observer.sample_time, []
+    estimate = observer.run(voltage[given_lag], current)
     missing = ~np.isfinite(current).all(axis=1) | ~np.isfinite(voltage).all(axis=(0, 2))
     good: NDArray[np.bool_] = np.logical_not(missing)
     speed = np.abs(estimate.speed_e[estimate.valid])
-    turns = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
-    rows = max(SHORTEST, round(max(seconds, turns) / h))
+    turns_time = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
+    rows = max(SHORTEST, round(max(seconds, turns_time) / h))
     voltage = without_kinks(voltage, observer.held, axis=1)
-    for run in _runs(good, rows):
+    for run in _runs_of_rows(good, rows):
         valid = np.flatnonzero(estimate.valid[run])
         if len(valid):
-            known = valid[np.argmin(estimate.theta_e_std[run][valid])]
-            start, drift = estimate.flux[run][known], estimate.drift[run][known]
+            best_row = valid[np.argmin(estimate.theta_e_std[run][valid])]
+            start, drift = estimate.flux[run][best_row], estimate.drift[run][best_row]
             arrays = current[run], voltage[:, run]
             psi = estimate.psi_f[run][valid]
             lengths = np.quantile(psi, [0.02, 0.98])
-            signs = _signs(h, mean_current(current[run], axis=0), smoothing, offset)
-            found.append(_piece(h, *arrays, given, R_s, signs, known, start, drift, lengths))
-    return found
+            signs = _integrate_signs(h, mean_current(current[run], axis=0), smoothing, offset)
+            segments.append(
+                _make_segment(h, *arrays, given_lag, R_s, signs, best_row, start, drift, lengths)
+            )
+    return segments
 
 
-def _runs(good: NDArray[np.bool_], rows: int) -> Iterator[slice]:
-    """Yield stretches of good rows, about `rows` long, none shorter than SHORTEST."""
+def _runs_of_rows(good: NDArray[np.bool_], rows: int) -> Iterator[slice]:
+    """Yield runs of good rows, about `rows` long, none shorter than SHORTEST."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     for first, last in edges.reshape(-1, 2):
         count = max(1, round((last - first) / rows))
@@ -183,44 +193,52 @@ def _runs(good: NDArray[np.bool_], rows: int) -> Iterator[slice]:
                 yield slice(int(low), int(high))
 
 
-def _piece(
+def _make_segment(
     h: float,
     current: Array,
     voltage: Array,
-    given: int,
+    given_lag: int,
     R_s: float,
     signs: tuple[Array, Array, Array, Array],
-    known: int,
+    best_row: int,
     flux: Array,
     drift: Array,
     lengths: Array,
-) -> Piece:
+) -> Segment:
     mean = mean_current(current, axis=0)
     integrals = [h * np.cumsum(x, axis=-2) for x in (voltage, mean)]
     u, i = (x - x[..., :1, :] for x in integrals)
     t = np.asarray(h * np.arange(len(current)), float)
-    start = flux - (u[given] - R_s * i)[known] - drift * t[known]
-    return Piece(t, current, u, i, *signs, start, drift, lengths)
+    start = flux - (u[given_lag] - R_s * i)[best_row] - drift * t[best_row]
+    return Segment(t, current, u, i, *signs, start, drift, lengths)
 
 
-def _signs(
+def _integrate_signs(
     h: float, mean: Array, smoothing: float, offset: float
 ) -> tuple[Array, Array, Array, Array]:
-    """∫ of the inverter's direction [s]; what a harder knee, offsets of the currents, and a loss
-    that grows with the current change."""
+    """Return ∫ of the inverter's direction [s] and its changes.
+
+    The changes are those by harder knees, by current offsets, and by a loss that grows with the
+    current.
+    """
 
     def integral(values: Array) -> Array:
-        found = h * np.cumsum(values, axis=0)
-        return np.asarray(found - found[:1])
+        total = h * np.cumsum(values, axis=0)
+        return np.asarray(total - total[:1])
 
-    def of(current: Array) -> Array:
+    def direction(current: Array) -> Array:
         return inverter_direction(current, smoothing)
 
-    usual = of(mean)
-    hard = [inverter_direction(mean, share * smoothing) - usual for share in HARDER]
-    # A difference over the offsets that are likely: a knee may be narrower than a sample's step.
-    moved = [(of(mean - step) - of(mean + step)) / (2 * offset) for step in offset * np.eye(2)]
+    usual = direction(mean)
+    harder_changes = [inverter_direction(mean, share * smoothing) - usual for share in HARDER]
+    # Difference over likely offsets: a knee may be narrower than the current's step in a sample.
+    offset_changes = [
+        (direction(mean - step) - direction(mean + step)) / (2 * offset)
+        for step in offset * np.eye(2)
+    ]
     share = mean / (smoothing / SMOOTHING)
     curve = share * (1 - np.hypot(*share.T))[:, None]
-    harder, offsets = (np.stack(list(map(integral, one))) for one in (hard, moved))
+    harder, offsets = (
+        np.stack(list(map(integral, changes))) for changes in (harder_changes, offset_changes)
+    )
     return integral(usual), harder, offsets, integral(curve)

@@ -15,14 +15,15 @@ from ..options import JsonOption, LogArgument
 def channels(
     log: LogArgument,
     join: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="A further file of the same run.")
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Another file of the same run; may be repeated."),
     ] = None,
     header: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="Names for a file without.")
+        str | None, typer.Option(metavar="NAMES", help="Column names of a file without a header.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the columns of a log: unit, rate, range, first values, and what each is taken for.
+    """List the columns of a log: unit, rate, range, first values, and the channel each is taken as.
 
     Example: fluxobs channels LOG.csv
     """
@@ -30,7 +31,7 @@ def channels(
 
     listing = list_channels(log, *(join or []), header=header)
     if as_json:
-        facts = [one.facts for one in listing.channels]
+        facts = [channel.facts for channel in listing.channels]
         typer.echo(json.dumps({"channels": facts, "notes": listing.notes}, indent=1))
         return
     from rich.table import Table
@@ -38,11 +39,21 @@ def channels(
     table = Table(box=None, pad_edge=False)
     for title in ("column", "unit", "rate [Hz]", "rows", "range", "first values", "taken for"):
         table.add_column(title, overflow="fold")
-    for one in listing.channels:
-        rate = "" if one.sample_time is None else f"{1 / one.sample_time:.6g}"
-        span = "" if one.low != one.low else f"{one.low:.4g} … {one.high:.4g}"
-        first = ", ".join(f"{value:.4g}" for value in one.first)
-        row = (one.column, one.unit, rate, str(one.rows), span, first, one.taken_for)
+    for channel in listing.channels:
+        rate = "" if channel.sample_time is None else f"{1 / channel.sample_time:.6g}"
+        value_range = (
+            "" if channel.low != channel.low else f"{channel.low:.4g} … {channel.high:.4g}"
+        )
+        first_values = ", ".join(f"{value:.4g}" for value in channel.first)
+        row = (
+            channel.column,
+            channel.unit,
+            rate,
+            str(channel.rows),
+            value_range,
+            first_values,
+            channel.taken_for,
+        )
         table.add_row(*map(show.cell, row))
     show.table(table)
     for note in listing.notes:

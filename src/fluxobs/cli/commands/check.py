@@ -26,28 +26,28 @@ def check(
     layout: dict[str, Any],
     cold_resistance: Annotated[
         float | None,
-        typer.Option(help="Phase resistance at 20 °C [Ω], for the winding temperature."),
+        typer.Option(help="Ohm; phase resistance at 20 °C, to compute the winding temperature."),
     ] = None,
     only_mistakes: Annotated[
-        bool, typer.Option("--mistakes", help="Only the usual mistakes, without the page.")
+        bool,
+        typer.Option("--mistakes", help="Report only mistakes; skip the examination of the drive."),
     ] = False,
     report: ReportOption = None,
     force: ForceOption = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Is a log what you think? Tries the usual mistakes.
+    """Test a log for the usual mistakes, then examine the drive.
 
-    Looks at the columns first: one given twice, raw counts, an angle in degrees, spikes. Then tries
-    the current's sign, phase order and frame, lags of the voltage from two samples earlier to two
-    later, and scales of the log or of the machine file (line to line √3, rms √2, power-invariant
-    √1.5, any factor), and with a true angle its zero, its direction and n_p. Says what fits best,
-    how surely, and what the log cannot tell. Exit code 1: something fits better than what was
-    given.
+    First checks the columns: duplicates, raw counts, an angle in degrees, spikes. Then tests the
+    sign, phase order and frame of the current, voltage lags from two samples earlier to two later,
+    scales of the log or of the machine file (line to line √3, rms √2, power-invariant √1.5, any
+    factor) and, with a true angle, its zero, direction and n_p. Reports what fits best, how
+    clearly, and what this log cannot show. Exit code 1: something fits better than what was given.
 
-    Then comes the page on the drive: sampling, converters, offsets, R_s and winding temperature,
-    magnets, inverter, gains, lag, encoder or Hall sensors, each with value, standard deviation and
-    verdict: fine, look at it, or cannot be told from this log, and which test would tell.
+    Then examines the drive: sampling, converters, offsets, R_s and winding temperature, magnets,
+    inverter, gains, lag, encoder or Hall sensors. Each has a value, a standard deviation and a
+    verdict: "fine", "look at it", or "cannot be told" with the test that would decide.
 
     Example: fluxobs check LOG.csv --machine motor.toml --lag -1
     """
@@ -58,23 +58,25 @@ def check(
     if report is not None:
         check_new(report, REPORTS, force, "--report")
     with show.Progress() as progress:
-        found = run(log, machine, cold_resistance=cold_resistance, progress=progress, **layout)
-        items = found.items if as_json or report or not (quiet or only_mistakes) else ()
+        examination = run(
+            log, machine, cold_resistance=cold_resistance, progress=progress, **layout
+        )
+        items = examination.items if as_json or report or not (quiet or only_mistakes) else ()
     if as_json:
-        typer.echo(json.dumps(found.facts, indent=1, ensure_ascii=False))
+        typer.echo(json.dumps(examination.facts, indent=1, ensure_ascii=False))
     elif quiet:
-        for finding in found.mistakes:
+        for finding in examination.mistakes:
             show.say(str(finding))
     else:
-        for note in found.log.notes if found.log is not None else ():
+        for note in examination.log.notes if examination.log is not None else ():
             show.echo(f"Note: {note}.")
-        for line in found.lines():
+        for line in examination.lines():
             show.echo(line)
         if items:
-            show.page(items)
+            show.examination(items)
     if report is not None:
-        found.write(report, force=force)
+        examination.write(report, force=force)
         if not (quiet or as_json):
             show.say(f"Written: {report}")
-    if not found.sound:
+    if not examination.sound:
         raise typer.Exit(1)

@@ -17,30 +17,34 @@ def compare(
         list[str],
         typer.Argument(
             metavar="LOG|SCENARIO …",
-            help="Logs with a true angle (--truth), or scenarios by name; `list` lists them, "
-            "`all` takes all.",
+            help="Logs with a true angle (--truth), or names of scenarios; `list` lists them, "
+            "`all` runs all of them.",
         ),
     ],
     layout: dict[str, Any],
     machine: Annotated[
         Path | None,
         typer.Option(
-            help="TOML or a name from `fluxobs machines`. Scenarios run on the shipped machines "
-            "that turn; default pmsm-2kw2."
+            help="Machine file, or a name from `fluxobs machines`. Scenarios run on shipped "
+            "rotating machines only; their default is pmsm-2kw2."
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for scores and pictures; made if missing.")] = (
-        Path("fluxobs-compare")
-    ),
+    out: Annotated[
+        Path, typer.Option(help="Folder for scores and pictures; created if missing.")
+    ] = (Path("fluxobs-compare")),
     seed: Annotated[int, typer.Option(min=0, help="Seed of a scenario's sensor noise.")] = 0,
     settle: Annotated[
-        float, typer.Option(help="Seconds of a log that are not scored, while observers settle.")
+        float,
+        typer.Option(
+            help="Seconds at the start of a log that are not scored, while observers settle."
+        ),
     ] = 0.2,
     force: ForceOption = False,
 ) -> None:
-    """Run a log or a scenario through every known observer, and score them.
+    """Run all built-in observers on a log or scenario and score their errors.
 
-    Each observer runs with usual gains, and with the best of a grid for this very record.
+    Each observer runs with recommended gains and with the gains from a grid that suit this record
+    best.
 
     Writes scores.csv, report.html, one picture per record, and summary.png for several records.
     Needs the extra "design" (JAX).
@@ -59,23 +63,23 @@ def compare(
     from ...comparison.compare import compare as run
     from ...core.output import make_folder
 
-    names = [n for r in records for n in (SCENARIOS if r == "all" else [r])]
+    names = [name for record in records for name in (SCENARIOS if record == "all" else [record])]
     for name in names:
         check_comparable(name, machine)
     make_folder(out, "scores.csv", force)
-    comparisons, drawn = [], []
+    comparisons, pictures = [], []
     for name in names:
         options = {} if name in SCENARIOS else layout
-        found = run(name, machine, seed=seed, settle=settle, **options)
-        comparisons.append(found)
-        show.table(report.table(found))
-        show.echo(report.verdict(found))
-        drawn.append(out / f"{Path(found.title).stem}.png")
-        report.draw(found, drawn[-1])
+        comparison = run(name, machine, seed=seed, settle=settle, **options)
+        comparisons.append(comparison)
+        show.table(report.table(comparison))
+        show.echo(report.verdict(comparison))
+        pictures.append(out / f"{Path(comparison.title).stem}.png")
+        report.draw(comparison, pictures[-1])
         report.write_csv(comparisons, out / "scores.csv")
     if len(comparisons) > 1:
-        drawn.append(out / "summary.png")
-        report.draw_summary(comparisons, drawn[-1])
-    report.write_html(comparisons, drawn, out / "report.html")
-    pictures = "one picture per record" + (", summary.png" if len(comparisons) > 1 else "")
-    show.say(f"Written: {out / 'scores.csv'}, report.html, {pictures}")
+        pictures.append(out / "summary.png")
+        report.draw_summary(comparisons, pictures[-1])
+    report.write_html(comparisons, pictures, out / "report.html")
+    picture_names = "one picture per record" + (", summary.png" if len(comparisons) > 1 else "")
+    show.say(f"Written: {out / 'scores.csv'}, report.html, {picture_names}")

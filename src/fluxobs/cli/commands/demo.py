@@ -12,11 +12,11 @@ from .estimate import show_result
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the results; made if missing.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for the results; created if missing.")] = Path(
         "fluxobs-demo"
     ),
 ) -> None:
-    """Run the main job on a log that comes with the package."""
+    """Estimate from the log of a servo motor that ships with the package."""
     from ... import estimate as run
     from ...core.output import make_folder
     from ...simulation.closed_form.demo import MACHINE, demo_log

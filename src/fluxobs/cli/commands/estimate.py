@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .. import show
-from ..many_logs import are_many, many, refuse
+from ..many_logs import are_many, estimate_logs, refuse
 from ..options import (
     DriveOption,
     ForceOption,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ...estimation import Result
 
 
-#: Exit code if no row is valid: the estimates are written, but nothing in them can be used.
+#: Exit code if no row is valid: the estimates are written but not usable.
 NEVER_VALID = 3
 
 
@@ -43,9 +43,9 @@ def estimate(
         list[str],
         typer.Argument(
             metavar="LOG…",
-            help="Text as instruments write it (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, "
-            "npy, JSON, HDF5, MAT, MDF4, TDMS, ULog, Excel. `fluxobs channels LOG` shows what it "
-            'holds. Many: files, patterns, folders, s3://…, gs://…, http(s)://… (extra "cloud").',
+            help="Text (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, npy, JSON, HDF5, MAT, "
+            "MDF4, TDMS, ULog, Excel. `fluxobs channels LOG` lists its columns. Many logs: files, "
+            'patterns, folders, s3://…, gs://…, http(s)://… (extra "cloud").',
         ),
     ],
     machine: MachineOption,
@@ -53,8 +53,8 @@ def estimate(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Where the estimates go, .parquet or .csv. Without it only the summary is "
-            "printed. Of many logs: a folder, with a table of all."
+            help="File for the estimates, .parquet or .csv; default: print only the summary. With "
+            "many logs: a folder for their estimates and a table of all logs."
         ),
     ] = None,
     report: ReportOption = None,
@@ -68,27 +68,27 @@ def estimate(
     unknowns: Annotated[
         str,
         typer.Option(
-            help="Constant or slow unknowns: auto (default): what the log asks for; drift; with "
-            "resistance, inverter, asymmetry, in any combination: also errors of R_s, of the "
-            "inverter (dead time and device drops), and unequal gains of the phases; current-bias "
-            "or drift,current-bias: the slower, general least squares, 0.25 ms per row; "
-            "current-bias alone assumes that the voltage has no offset."
+            help="Constant or slow unknowns to estimate. auto (default): those that the log needs. "
+            "drift: only the drift of the flux integral. drift with any of resistance, inverter, "
+            "asymmetry: also errors of R_s, of the inverter (dead time, device drops), and unequal "
+            "gains of the phases. current-bias or drift,current-bias: a slower, general least "
+            "squares (0.25 ms per row); current-bias alone assumes that the voltage has no offset."
         ),
     ] = "auto",
     causal: Annotated[
         bool,
         typer.Option(
             "--causal",
-            help="Learn resistance, inverter, … as the log goes, as firmware would; else from the "
-            "whole log first.",
+            help="Learn resistance, inverter, … only from past samples, as firmware does. Default: "
+            "learn from the whole log first.",
         ),
     ] = False,
     prior: PriorOption = None,
     save_machine: Annotated[
         Path | None,
         typer.Option(
-            help="Machine file to write, .toml: with the parameters that the log told, and "
-            "standard deviations that allow for heat."
+            help="Machine file to write, .toml: the learnt parameters, with standard deviations "
+            "that allow for heating."
         ),
     ] = None,
     save_record: SaveRecordOption = None,
@@ -96,14 +96,14 @@ def estimate(
         bool,
         typer.Option(
             "--no-data",
-            help="Leave the record out of an .html report: it is then small, "
-            "shows only the estimates, and does not recompute.",
+            help="Leave the log's samples out of an .html report: it is then small and shows the "
+            "estimates, but cannot recompute them.",
         ),
     ] = False,
     drive: DriveOption = None,
     retry: Annotated[
         str | None,
-        typer.Option(help="Of many: do `failed` ones again, or `all`, although nothing changed."),
+        typer.Option(help="With many logs: repeat the `failed` ones, or `all`, even if unchanged."),
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = "local",
@@ -111,26 +111,27 @@ def estimate(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate flux, position, speed and drift of a recorded log, or of many.
+    """Estimate flux, position, speed and drift from one recorded log or many.
 
-    Prints a summary. With --out it writes one row per sample, in SI units and electrical radians:
-    t, flux_alpha, flux_beta, psi_f, theta_e (directly from the flux), theta_e_tracked, speed_e,
-    drift_alpha, drift_beta, theta_e_std, valid; and theta_e_error if a truth is given. Exit code 3:
-    no row is valid.
+    Prints a summary. --out writes one row per sample, in SI units and electrical radians: t,
+    flux_alpha, flux_beta, psi_f, theta_e (directly from the flux), theta_e_tracked, speed_e,
+    drift_alpha, drift_beta, theta_e_std, torque, speed_mech, valid; with --truth also
+    theta_e_error. Exit code 3: no row is valid.
 
-    With more than the drift among the unknowns it also writes resistance, inverter_voltage,
-    psi_f of the magnet and drift, each with its standard deviation, and the other angle while two
-    are in question. For a maglev-2dof, or with a current bias, it writes flux, position or theta_e,
-    drift and current_bias with their standard deviations, noise_share and valid.
+    With more unknowns than the drift, it also writes resistance, inverter_voltage, and the standard
+    deviations of these, of psi_f and of the drift; and a second angle while two are possible. For
+    a maglev-2dof, or with current-bias, it writes flux, position or theta_e, drift and current_bias
+    with their standard deviations, noise_share and valid.
 
-    Of many logs each gets a file of estimates and a row in summary.parquet and summary.csv; one
-    that cannot be estimated is a row that says why, and exit code 1. What is done is not done again
-    while content, machine and settings stay. `{drive}` in --machine stands for a drive's name.
-    `fluxobs fleet DIR` follows the parameters over time.
+    With many logs, writes a file of estimates per log, and a table with one row per log:
+    summary.parquet and summary.csv. The row of a log that failed says why; the exit code is then 1.
+    A repeated command skips logs whose content, machine and settings are unchanged. `{drive}` in
+    --machine stands for the name of the drive. `fluxobs fleet DIR` then follows the parameters over
+    time.
 
     Example: fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --lag -1
     """
-    given = {
+    only_one = {
         "--report": report,
         "--save-machine": save_machine,
         "--save-record": save_record,
@@ -139,17 +140,17 @@ def estimate(
     }
     only_many = {"--drive": drive, "--retry": retry, "--workers": workers}
     if are_many(logs, out):
-        refuse(given, "one log")
+        refuse(only_one, "works only with one log")
         options = layout | {"unknowns": unknowns, "causal": causal, "memory": memory}
         options |= {"priors": numbers("prior", prior)}
-        code = many(
+        exit_code = estimate_logs(
             *(logs, machine, out, drive, retry or "none", workers, scheduler),
             options=options,
             quiet=quiet,
             as_json=as_json,
         )
-        raise typer.Exit(code)
-    refuse(only_many, "many logs")
+        raise typer.Exit(exit_code)
+    refuse(only_many, "works only with many logs")
     log = Path(logs[0])
     from ... import estimate as run
     from ...core.output import check_new
@@ -165,7 +166,7 @@ def estimate(
         check_path(report)
         check_new(report, REPORTS, force, "--report")
         if html:
-            built("report.html")  # or say now that it is missing
+            built("report.html")  # fail now, not after the run, if it is missing
     if save_record is not None:
         check_new(save_record, (".toml",), force, "--save-record")
     if save_machine is not None:
@@ -195,7 +196,7 @@ def estimate(
         write_record(result.log, save_record, force=force)
         written.append(save_record)
     if report is not None:
-        check_new(report, REPORTS, force, "--report")  # once more: the run took a while
+        check_new(report, REPORTS, force, "--report")  # again: it may exist by now
         result.write(report, data=not no_data, command=shlex.join(["fluxobs", *sys.argv[1:]]))
         written.append(report)
     if as_json:
@@ -211,21 +212,21 @@ def estimate(
 
 
 def show_result(result: Result, machine: str, written: Sequence[Path]) -> None:
-    """Print the summary, what was written, and how to export the same observer as firmware."""
+    """Print the summary, the files written, and the command that exports the same observer."""
     for note in result.log.notes:
         show.echo(f"Note: {note}.")
     show.summary(result.summary, result.warnings)
     for path in written:
         show.say(f"Written: {path}")
     if result.path is None:
-        typer.echo("The estimates are not written: --out FILE.parquet (or .csv) says where to.")
+        typer.echo("The estimates are not saved; to save them, add --out FILE.parquet (or .csv).")
     if result.statistics.valid == 0:
         return
     command = result.export_command(machine)
     if command is not None:
-        words = "The same in firmware"
+        prefix = "The same observer for firmware"
         if result.adaptive is not None and not result.causal:
-            words += ", which learns as it goes"
-        show.say(f"{words}: {command}")
+            prefix += ", which learns from past samples"
+        show.say(f"{prefix}: {command}")
     elif result.firmware is not None:
         show.say(result.firmware)

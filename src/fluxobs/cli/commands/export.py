@@ -17,68 +17,67 @@ def export(
     sample_time: Annotated[
         float, typer.Option(help="Seconds; period of the current-control interrupt.")
     ],
-    out: Annotated[Path, typer.Option(help="Folder to make.")],
+    out: Annotated[Path, typer.Option(help="Folder to create.")],
     unknowns: Annotated[
         str,
         typer.Option(
-            help="Constant or slow unknowns: drift, or also some of resistance, inverter, "
-            "asymmetry (auto: all). These export the adaptive observer, which starts within a "
-            "fraction of a turn."
+            help="Unknowns to estimate: drift, or drift with some of resistance, inverter, "
+            "asymmetry (auto: all). With more than drift, exports the adaptive observer, which "
+            "starts within a fraction of a turn."
         ),
     ] = "drift",
     memory: Annotated[
         float | None,
         typer.Option(
-            help="Seconds; memory of the least squares. Default 0.03, or less if L/R is short."
+            help="Seconds; memory of the least squares. Default 0.03, or less if L/R is small."
         ),
     ] = None,
     current_noise: Annotated[
         float | None,
         typer.Option(
-            help="Ampere, standard deviation of a component; default 0.2 % of the rated current. "
-            "`fluxobs estimate` prints what it used for a log."
+            help="Ampere; standard deviation of each current component. Default 0.2 % of the rated "
+            "current. `fluxobs estimate` prints the value it used for a log."
         ),
     ] = None,
     drift_prior: Annotated[
-        float | None, typer.Option(help="Volt; largest plausible drift. Default from the machine.")
+        float | None,
+        typer.Option(help="Volt; largest plausible drift. Default: computed from the machine."),
     ] = None,
     prior: PriorOption = None,
     update_every: Annotated[
         int,
         typer.Option(
-            help="Interrupts from one step of the observer to the next. Above 1 it saves computing "
-            "time: the example gathers volt-seconds in between."
+            help="Number of interrupts per observer step. More than 1 saves computing time; the "
+            "example interrupt sums up volt-seconds in between."
         ),
     ] = 1,
     prefix: Annotated[
         str,
-        typer.Option(
-            help="Prefix of the generated names, so that two machines fit into one firmware."
-        ),
+        typer.Option(help="Prefix of the generated names; lets one firmware contain two machines."),
     ] = "motor",
     form: Annotated[
         str,
         typer.Option(
             "--as",
             help="c: C99 for any firmware; arduino: library for the Arduino IDE and PlatformIO; "
-            "fmu: simulation units, FMI 3.0 and 2.0; wasm: module for browsers and others; "
-            "rust: crate without dependencies.",
+            "fmu: simulation units for FMI 3.0 and 2.0; wasm: WebAssembly module, for example for "
+            "browsers; rust: crate without dependencies.",
         ),
     ] = "c",
     force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier export.")] = False,
 ) -> None:
-    """Write the observer for one machine as C99 for its firmware, or for another host.
+    """Export the observer of one machine as C99 for firmware, or for another host (--as).
 
-    The folder holds the sources, the machine's parameters, an example interrupt, and test vectors
-    with a host test: `make test` in it replays them. Sample by sample, it computes what
-    `fluxobs estimate` computes. `--as` makes a library, a unit or a module of the same.
+    The folder contains the sources, the machine's parameters, an example interrupt, and test
+    vectors; `make test` in it replays them on this computer. The export computes the same estimates
+    as `fluxobs estimate`, sample by sample.
 
     Example: fluxobs export --machine motor.toml --sample-time 5e-5 --out firmware/motor
     """
     from ... import export as run
     from ...deployment.forms import FORMS
 
-    done = run(
+    exported = run(
         machine,
         sample_time,
         out,
@@ -92,6 +91,6 @@ def export(
         form=form,
         force=force,
     )
-    folder = shlex.quote(str(done.folder))
+    folder = shlex.quote(str(exported.folder))
     attempt = FORMS[form].format(folder=folder)
-    show.say(f"Written: {folder}, content {done.content}. Try: {attempt}")
+    show.say(f"Written: {folder}, content {exported.content}. Try: {attempt}")

@@ -11,35 +11,37 @@ import typer
 from .. import show
 from ..options import ForceOption, JsonOption, QuietOption
 
-#: Exit code if a drive is beyond a limit, or none tells.
+#: Exit code if a drive exceeds a limit, or no log determines a limited parameter.
 CROSSED = 1
 
 
 def fleet(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="DIR", help="Results of `fluxobs estimate LOGS… --out DIR`."),
+        typer.Argument(
+            metavar="DIR", help="Folder of results of `fluxobs estimate LOGS… --out DIR`."
+        ),
     ],
     limit: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=LOW..HIGH",
-            help="Bounds of resistance, psi_f, inverter_voltage, offset_alpha, offset_beta in SI; "
-            "NAME=10%: of each drive's first level. May be repeated.",
+            help="Limits for resistance, psi_f, inverter_voltage, offset_alpha or offset_beta in "
+            "SI units; NAME=10%: deviation from each drive's first level. May be repeated.",
         ),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(help="Report, .html; default DIR/fleet.html.")
+        Path | None, typer.Option(help="Report to write, .html; default DIR/fleet.html.")
     ] = None,
     force: ForceOption = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Follow the parameters of many drives over time: what changed, when, what is out of limits.
+    """Follow the parameters of many drives over time: which changed, when, and which exceed limits.
 
-    A drive is the folder of its logs, or what `fluxobs estimate … --drive` found; a log's time is
-    the date in its name, else its file's. Exit code 1: a drive is beyond a limit, or no log tells
-    what a limit is on.
+    The name of a drive is the folder of its logs, or what `fluxobs estimate … --drive` found. The
+    time of a log is the date in its name, or else its file's. Exit code 1: a drive exceeds a limit,
+    or no log determines a parameter that has a limit.
 
     Example: fluxobs fleet results --limit resistance=20% --limit psi_f=-5..5%
     """
@@ -49,35 +51,38 @@ def fleet(
     from ...fleets.follow import follow, read_limit, untold
 
     limits = [read_limit(text) for text in limit or []]
-    found_fleet = open_fleet(folder)
-    place = folder / "fleet.html" if report is None else report
+    opened = open_fleet(folder)
+    report_path = folder / "fleet.html" if report is None else report
     if report is not None:
         check_new(report, (".html",), force, "--report")
-    found = follow(found_fleet.table, limits)
-    reports.write_html(found_fleet, found, place)
-    missing = untold(found, limits)
-    crossed = any(one.crossed for one in found)
+    followed = follow(opened.table, limits)
+    reports.write_html(opened, followed, report_path)
+    missing = untold(followed, limits)
+    exceeded = any(parameter.crossed for parameter in followed)
     if as_json:
-        facts = [
+        parameter_facts = [
             {
-                "drive": one.drive,
-                "parameter": one.name,
-                "unit": one.unit,
-                "logs": len(one.values),
-                "first": one.first,
-                "now": one.level,
-                "scatter": one.course.scatter,
-                "crossed": one.crossed,
-                "remarks": list(one.remarks),
+                "drive": parameter.drive,
+                "parameter": parameter.name,
+                "unit": parameter.unit,
+                "logs": len(parameter.values),
+                "first": parameter.first,
+                "now": parameter.level,
+                "scatter": parameter.course.scatter,
+                "crossed": parameter.crossed,
+                "remarks": list(parameter.remarks),
             }
-            for one in found
+            for parameter in followed
         ]
-        told = {"followed": facts, "untold": missing, "written": str(place)}
-        typer.echo(json.dumps(told, ensure_ascii=False))
+        summary = {"followed": parameter_facts, "untold": missing, "written": str(report_path)}
+        typer.echo(json.dumps(summary, ensure_ascii=False))
     elif not quiet:
-        show.echo(reports.headline(found_fleet, found))
-        for text in (*reports.remarks(found), *(f"{one.capitalize()}." for one in missing)):
+        show.echo(reports.headline(opened, followed))
+        for text in (
+            *reports.remarks(followed),
+            *(f"{message.capitalize()}." for message in missing),
+        ):
             show.echo(text)
-        show.say(f"Written: {place}")
-    if crossed or missing:
+        show.say(f"Written: {report_path}")
+    if exceeded or missing:
         raise typer.Exit(CROSSED)

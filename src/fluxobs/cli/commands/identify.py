@@ -29,8 +29,8 @@ def identify(
         list[str],
         typer.Argument(
             metavar="LOG…",
-            help="A log, as `fluxobs estimate` reads it; or many of one machine: files, patterns, "
-            "folders.",
+            help="A log that `fluxobs estimate` can read; or many logs of one machine: files, "
+            "patterns, folders.",
         ),
     ],
     machine: MachineOption,
@@ -39,14 +39,18 @@ def identify(
     free: Annotated[
         str | None,
         typer.Option(
-            help="Parameters to fit, out of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, "
-            "R_R, L_M, inverter, lag. map: how the machine saturates. R_R, L_M: of a cage, if its "
-            "flux changes; or R_R with --truth speed_mech=COLUMN. Default R_s,psi_f,inverter, if "
-            "the machine has them; the rest stays as given."
+            help="Parameters to fit: R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, "
+            "L_M, inverter, lag. map: the saturation of the machine. R_R, L_M: the cage of an "
+            "induction machine, if its flux changes; R_R also with --truth speed_mech=COLUMN. "
+            "Default R_s,psi_f,inverter, if the machine has them. The others keep their values."
         ),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(help="Picture of the residual, and of a map: .png, .pdf, .svg.")
+        Path | None,
+        typer.Option(
+            help="Report to write: .html, or a picture of the residual and of a flux map: .png, "
+            ".pdf, .svg."
+        ),
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = "local",
@@ -54,15 +58,16 @@ def identify(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Fit the machine's parameters and the inverter's error to a whole log, or to many.
+    """Fit the machine's parameters and the inverter's voltage loss to one log or many.
 
-    Prints each parameter with its standard deviation, and says which ones the log cannot tell:
-    they are held as given. `fluxobs estimate` reads the machine file written here, and subtracts
-    the inverter's error (inverter_voltage) from the commanded voltages. A lag is not part of the
-    file. If the log tells nothing, nothing is written (exit code 2).
+    Prints each parameter with its standard deviation. Parameters that the log cannot identify keep
+    their values, and the output says why. `fluxobs estimate` reads the machine file written here
+    and subtracts the inverter's loss (inverter_voltage) from the commanded voltages. The file does
+    not contain the lag. If no parameter can be identified, no file is written (exit code 2).
 
-    Of many logs pieces are fitted together; each is fitted alone too, and those that disagree are
-    named, with what it may be: heat, ageing, another motor. Exit code 1: one of many tells nothing.
+    With many logs, fits each log alone and segments of all of them together, and lists the logs
+    that disagree, with a likely cause: heat, ageing, another motor. Exit code 1: one of many logs
+    identifies no parameter.
 
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
     """
@@ -71,7 +76,7 @@ def identify(
     from ...core.plots import REPORTS, check_path
     from ...machines.saving import check_machine_file
 
-    paths = _paths(logs)
+    paths = _local_paths(logs)
     for path in paths:
         refuse_input_as_output(out, path, layout.get("record"))
     check_machine_file(out, force)
@@ -83,7 +88,7 @@ def identify(
         if len(paths) > 1:
             from ...identification.pooled import identify_many
 
-            several = identify_many(
+            pooled = identify_many(
                 paths,
                 machine,
                 free=free,
@@ -92,35 +97,35 @@ def identify(
                 progress=progress,
                 **layout,
             )
-            facts, lines, found = several.facts, several.lines(), several.together
-            some_failed = bool(several.failed)
+            facts, lines, fit = pooled.facts, pooled.lines(), pooled.together
+            some_failed = bool(pooled.failed)
         else:
-            found = run(paths[0], machine, free=free, **layout)
-            facts, lines = found.facts, found.lines()
-        found.write(out, force=force)
+            fit = run(paths[0], machine, free=free, **layout)
+            facts, lines = fit.facts, fit.lines()
+        fit.write(out, force=force)
         if report is not None:
-            check_new(report, REPORTS, force, "--report")  # once more: the run took a while
-            found.write(report)
+            check_new(report, REPORTS, force, "--report")  # again: it may exist by now
+            fit.write(report)
     if as_json:
         typer.echo(json.dumps(facts | {"written": str(out)}, indent=1, ensure_ascii=False))
     elif not quiet:
         for line in lines:
             show.echo(line)
-        for place in (out, report):
-            if place is not None:
-                show.say(f"Written: {place}")
+        for written in (out, report):
+            if written is not None:
+                show.say(f"Written: {written}")
     if some_failed:
         raise typer.Exit(SOME_FAILED)
 
 
-def _paths(logs: list[str]) -> list[Path]:
-    """The files that are meant."""
+def _local_paths(logs: list[str]) -> list[Path]:
+    """Return the files that the names or patterns stand for."""
     if not are_many(logs, None):
         return [Path(logs[0])]
     from ...fleets.sources import sources
 
-    found = sources(logs)
-    for one in found:
-        if one.remote:
-            raise UsageError(f"{one}: identify takes files of this machine; fetch it first")
-    return [Path(one.address) for one in found]
+    log_sources = sources(logs)
+    for source in log_sources:
+        if source.remote:
+            raise UsageError(f"{source}: identify reads local files only; download it first")
+    return [Path(source.address) for source in log_sources]

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from ...live import Watch
     from ...live.sources import Source
 
-#: The machine of the demo.
+#: Machine that --demo simulates.
 DEMO_MACHINE = "servo-400w"
-#: Seconds for which a stream that is recorded, and can wait, waits for a browser.
+#: Seconds to wait for a browser before reading a stream that can wait and is being recorded.
 UNWATCHED = 10.0
 
 
@@ -35,47 +35,53 @@ def live(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="A serial port (/dev/ttyACM0, COM3), udp:PORT (from this computer; "
-            "udp:0.0.0.0:PORT: from others too), socket://HOST:PORT, a file that is being "
-            "written, or - for standard input. It sends lines of CSV, or the frames of "
-            "an exported observer's telemetry.c.",
+            help="Serial port (/dev/ttyACM0, COM3), udp:PORT (from this computer; "
+            "udp:0.0.0.0:PORT: from others too), socket://HOST:PORT, a growing file, or - for "
+            "standard input. It sends lines of CSV, or frames of the telemetry.c of an exported "
+            "observer.",
         ),
     ] = "",
     machine: Annotated[
         Path | None,
-        typer.Option(help="TOML with kind, R_s, … in SI; or a name from `fluxobs machines`."),
+        typer.Option(
+            help="Machine file (TOML: kind, R_s, … in SI units), or a name from `fluxobs machines`."
+        ),
     ] = None,
     text: Annotated[
-        bool, typer.Option("--text", help="Show it in the terminal, not in the browser.")
+        bool,
+        typer.Option("--text", help="Show the estimates in the terminal instead of the browser."),
     ] = False,
     demo: Annotated[
-        bool, typer.Option("--demo", help="Stream a simulated servo motor, in real time.")
+        bool,
+        typer.Option(
+            "--demo", help="Simulate a servo motor in real time instead of reading SOURCE."
+        ),
     ] = False,
     save: Annotated[
         Path | None,
-        typer.Option(help="Record the rows as they come, .csv, for `fluxobs estimate`."),
+        typer.Option(help="File to record the rows in, .csv, for `fluxobs estimate`."),
     ] = None,
-    baud: Annotated[int, typer.Option(help="Bits a second of a serial port.")] = 115200,
+    baud: Annotated[int, typer.Option(help="Bits per second of a serial port.")] = 115200,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Of the page; 0: any that is free.")
+        int, typer.Option(min=0, max=65535, help="TCP port of the page; 0: any free port.")
     ] = 8765,
     no_open: Annotated[
-        bool, typer.Option("--no-open", help="Do not open the browser, only say the address.")
+        bool, typer.Option("--no-open", help="Do not open the browser; only print the address.")
     ] = False,
     memory: Annotated[
         float | None, typer.Option(help="Seconds; memory of the least squares.")
     ] = None,
     unknowns: Annotated[
         str,
-        typer.Option(help="As for `estimate`; auto (default): all that the observer finds."),
+        typer.Option(help="As for `estimate`; auto (default): all that the observer can estimate."),
     ] = "auto",
     prior: PriorOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Estimate a stream while it comes: position, speed, drift and parameters as they are now.
+    """Estimate position, speed, drift and parameters from a stream while it arrives.
 
-    It opens a page in the browser, with strips of the last seconds; nothing leaves this computer.
-    With --text it shows the same in the terminal. Ctrl-C ends it.
+    Opens a page in the browser that plots the last seconds; no data leave this computer. With
+    --text, shows the same in the terminal. Ctrl-C ends it.
 
     Example: fluxobs live /dev/ttyACM0 --machine motor.toml --save run.csv
     """
@@ -94,7 +100,7 @@ def live(
     if save is not None:
         check_new(save, (".csv",), force, "--save")
         refuse_input_as_output(save, Path(source), machine)
-    given = as_machine(machine or DEMO_MACHINE)
+    motor = as_machine(machine or DEMO_MACHINE)
     stream = Demo() if demo else open_source(source, baud)
     settings: dict[str, Any] = {
         "unknowns": unknowns,
@@ -105,92 +111,94 @@ def live(
     recorder = None if save is None else Recorder(save, force)
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="fluxobs-"))
-        watch = Watch(given, Path(folder) / "stream", **settings, **layout)
+        watch = Watch(motor, Path(folder) / "stream", **settings, **layout)
         if recorder is not None:
             watch.record(stack.enter_context(recorder).add)
-            stack.callback(_keep_unread, recorder.path, watch)
-        stopping = stack.enter_context(_Stopping())
+            stack.callback(_save_unread, recorder.path, watch)
+        ctrl_c = stack.enter_context(_CtrlC())
         try:
             if text:
-                _in_terminal(stream, watch, stopping)
+                _show_in_terminal(stream, watch, ctrl_c)
             else:
-                facts = {"machine": machine_text(given, [], {}), "options": layout, **settings}
-                taken = watch if save else None
-                _in_browser(stream, taken, port, not no_open, facts, stopping)
+                facts = {"machine": machine_text(motor, [], {}), "options": layout, **settings}
+                recorded = watch if save else None
+                _show_in_browser(stream, recorded, port, not no_open, facts, ctrl_c)
         except show.Stopped:
             pass
         except FluxobsError as error:
             problem = error
     if recorder is not None and recorder.written:
-        _say_written(recorder.path, watch, str(machine or DEMO_MACHINE))
+        _report_recording(recorder.path, watch, str(machine or DEMO_MACHINE))
     if problem is not None:
         raise problem
 
 
-def _keep_unread(save: Path, watch: Watch) -> None:
-    """Write what came before there were rows, whatever ends the stream."""
+def _save_unread(save: Path, watch: Watch) -> None:
+    """Save bytes in which no rows were found yet, however the stream ends."""
     from ...live.recorder import save_raw
 
     if watch.unread:
         raw = save_raw(save, watch.unread)
-        show.say(f"Written: {raw}, as it came: no rows were found in it")
+        show.say(f"Written: {raw}, unchanged: no rows were found in it")
 
 
-def _say_written(save: Path, watch: Watch, machine: str) -> None:
+def _report_recording(save: Path, watch: Watch, machine: str) -> None:
     show.say(f"Written: {save}")
-    words = ["fluxobs", "estimate", str(save), "--machine", machine]
+    command = ["fluxobs", "estimate", str(save), "--machine", machine]
     if watch.log is not None and watch.log.layout.lag:
-        words += ["--lag", f"{watch.log.layout.lag:g}"]
+        command += ["--lag", f"{watch.log.layout.lag:g}"]
     if watch.log is not None and watch.status.lost:  # the rate is known from the first rows
-        words += ["--sample-time", f"{watch.log.sample_time:g}"]
-    show.say(f"All of it at once: {shlex.join(words)}")
+        command += ["--sample-time", f"{watch.log.sample_time:g}"]
+    show.say(f"To estimate the whole recording: {shlex.join(command)}")
 
 
-class _Stopping:
-    """Ctrl-C ends a stream; while rows are estimated or sent, it waits until they are. A second
-    one does not wait."""
+class _CtrlC:
+    """Handler of Ctrl-C: ends the stream once the current rows are estimated and sent.
+
+    A second Ctrl-C ends it at once.
+    """
 
     def __init__(self) -> None:
-        self.asked = self._waiting = False
+        self.pressed = self._waiting = False
 
     def __enter__(self) -> Self:
-        self._before = signal.signal(signal.SIGINT, self._stop)
+        self._before = signal.signal(signal.SIGINT, self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
         signal.signal(signal.SIGINT, self._before)
 
-    def _stop(self, number: int, frame: object) -> None:
-        if self._waiting or self.asked:
+    def _on_signal(self, number: int, frame: object) -> None:
+        if self._waiting or self.pressed:
             raise show.Stopped
-        self.asked = True
+        self.pressed = True
 
-    def pieces(self, stream: Source) -> Iterator[tuple[bytes, bool]]:
-        """What a stream brings, and whether that was the last, also of one that is ended."""
-        chunks = stream.chunks()
+    def chunks(self, stream: Source) -> Iterator[tuple[bytes, bool]]:
+        """Yield data of a stream and whether they are the last; end with empty data."""
+        incoming = stream.chunks()
         try:
-            while not self.asked:
+            while not self.pressed:
                 self._waiting = True
                 try:
-                    data = next(chunks, None)
+                    data = next(incoming, None)
                 finally:
                     self._waiting = False
                 if data is None:
                     break
                 yield data, False
-        except (FluxobsError, SystemExit):  # also by Ctrl-C, or a signal to end
-            self.asked = True
+        except (FluxobsError, SystemExit):  # SystemExit: Ctrl-C or SIGTERM
+            self.pressed = True
             yield b"", True
             raise
         yield b"", True
 
 
-def _in_terminal(stream: Source, watch: Watch, stopping: _Stopping) -> None:
+def _show_in_terminal(stream: Source, watch: Watch, ctrl_c: _CtrlC) -> None:
     from ...live.terminal import Terminal
 
     with Terminal(watch, stream) as terminal:
         try:
-            for data, last in stopping.pieces(stream):
+            for data, last in ctrl_c.chunks(stream):
                 for rows in watch.feed(data, last):
                     terminal.add(rows)
                 if not last:
@@ -199,32 +207,32 @@ def _in_terminal(stream: Source, watch: Watch, stopping: _Stopping) -> None:
             terminal.draw(force=True)
 
 
-def _in_browser(
+def _show_in_browser(
     stream: Source,
     watch: Watch | None,
     port: int,
-    opens: bool,
+    open_browser: bool,
     facts: Mapping[str, Any],
-    stopping: _Stopping,
+    ctrl_c: _CtrlC,
 ) -> None:
     from ...live.serve import Server
 
     server = Server(port, {"name": stream.name, **facts}, stream.patient)
-    opened = opens and webbrowser.open(server.url)
-    show.say(f"{'Opened' if opened else 'Open'}: {server.url} Ctrl-C ends it.")
+    opened = open_browser and webbrowser.open(server.url)
+    show.say(f"{'Opened' if opened else 'Open'}: {server.url} Press Ctrl-C to end.")
     since = time.monotonic()
-    while stream.patient and not server.watched.wait(0.1) and not stopping.asked:
+    while stream.patient and not server.watched.wait(0.1) and not ctrl_c.pressed:
         if watch is not None and time.monotonic() - since > UNWATCHED:
             break
-    said = False
+    warned = False
     try:
-        for data, last in stopping.pieces(stream):
-            if stream.ignored and not said:
-                said = True
-                typer.echo("Datagrams of other senders are left out: the first one is taken.")
+        for data, last in ctrl_c.chunks(stream):
+            if stream.ignored and not warned:
+                warned = True
+                typer.echo("Ignoring datagrams of other senders than the first.")
             if data:
                 server.send(data)
             if watch is not None:
                 list(watch.feed(data, last))
     finally:
-        server.end(now=stopping.asked)
+        server.end(now=ctrl_c.pressed)

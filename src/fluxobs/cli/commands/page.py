@@ -14,14 +14,15 @@ from ..options import ForceOption
 def page(
     out: Annotated[
         Path | None,
-        typer.Option(help="Write it there (.html), to pass on; default: open it in the browser."),
+        typer.Option(help="File to write the page to, .html; default: open it in the browser."),
     ] = None,
     force: ForceOption = False,
 ) -> None:
-    """Open the page that estimates in a browser, or write it to a file.
+    """Open the estimator as a page in the browser, or write the page to a file.
 
-    One HTML file that works offline: drop a log, choose the machine, see what `fluxobs estimate`
-    and `fluxobs check` say of it, and move parameters. Nothing leaves the computer.
+    The page is one HTML file that works offline: drop a log on it, choose the machine, see the
+    results of `fluxobs estimate` and `fluxobs check`, and vary parameters. No data leave the
+    computer.
 
     Example: fluxobs page --out fluxobs.html
     """
@@ -43,4 +44,4 @@ def page(
     if webbrowser.open(path.as_uri()):
         show.say(f"Opened: {path}")
     else:
-        show.say(f"No browser was found. Open {path} in one")
+        show.say(f"No browser was found. Open this file in one: {path}")

@@ -10,9 +10,11 @@ from .. import show
 
 
 def presets(
-    name: Annotated[str | None, typer.Argument(help="Print this one, to start your own.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="Print this preset, to start a record file of your own.")
+    ] = None,
 ) -> None:
-    """List the records that come with the package, for the logs of known tools (--preset NAME).
+    """List the presets: layouts of known tools' logs, for --preset NAME.
 
     Example: fluxobs presets mesc > my-tool.toml
     """
@@ -23,5 +25,5 @@ def presets(
         return
     names = preset_names()
     width = max(map(len, names))
-    for one in names:
-        show.say(f"{one:{width}}  {preset_text(one).splitlines()[0].removeprefix('# ')}")
+    for preset in names:
+        show.say(f"{preset:{width}}  {preset_text(preset).splitlines()[0].removeprefix('# ')}")

@@ -13,29 +13,30 @@ from ..options import ForceOption
 
 
 def reproduce(
-    out: Annotated[Path, typer.Option(help="Folder for figures and report; made if missing.")] = (
-        Path("fluxobs-paper")
-    ),
+    out: Annotated[
+        Path, typer.Option(help="Folder for figures and report; created if missing.")
+    ] = (Path("fluxobs-paper")),
     quick: Annotated[
-        bool, typer.Option("--quick", help="Only 30 s of one scenario: a third of the time.")
+        bool,
+        typer.Option("--quick", help="Simulate only 30 s of one scenario, in a third of the time."),
     ] = False,
     deep: Annotated[
         bool,
         typer.Option(
             "--deep",
-            help="Also the long studies, ten minutes: scenario S2, scalar gain, later observers, "
-            "printed model, closed loop.",
+            help="Add the long studies (ten minutes): scenario S2, scalar gain, later observers, "
+            "the model as printed, closed loop.",
         ),
     ] = False,
     force: ForceOption = False,
 ) -> None:
-    """Reproduce Section V of the paper, as printed, corrected and beyond.
+    """Reproduce Section V of the paper: as printed, corrected, and extended.
 
     Writes report.html (and .md), numbers.json and figures (PNG, and SVG unless --quick).
 
     Needs the extra "design" (JAX).
     """
-    # Compilation takes most of the time; this must be set before JAX is loaded.
+    # Compilation takes most of the time. JAX reads this variable when it is imported.
     if not deep:
         os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
     from ...core.output import make_folder

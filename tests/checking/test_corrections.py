@@ -1,4 +1,4 @@
-"""What each mistake does to vectors and parameters, against phases that are really exchanged."""
+"""Effect of each mistake on vectors and parameters, against phases that are really exchanged."""
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ from fluxobs.checking.mistakes import (
     SIGN,
     Linear,
     Mistake,
-    one_inverted,
-    together,
+    combine,
+    inverted_sensors,
 )
 
 Z = np.array([1.0, 0.3 + 2.0j, -1.0 - 0.5j])
@@ -25,7 +25,7 @@ AXES = np.exp(2j * np.pi / 3 * np.arange(3))
 
 
 def phases(z):
-    """Phase quantities of sum zero."""
+    """Return three phase quantities whose sum is zero."""
     return (z * AXES.conj()[:, None]).real
 
 
@@ -37,7 +37,7 @@ A, B, C = phases(Z)
 
 
 def right(mistake, of):
-    """The only one whose words hold these."""
+    """Return the only mistake whose text contains `of`."""
     (found,) = [one for one in mistake if of in one.words]
     return found
 
@@ -48,7 +48,7 @@ def right(mistake, of):
         ("b and c are exchanged", vector(A, C, B)),
         ("a and b are exchanged", vector(B, A, C)),
         ("a and c are exchanged", vector(C, B, A)),
-        ("(b c a)", vector(C, A, B)),  # the order that restores a, b, c
+        ("(b c a)", vector(C, A, B)),  # names the order that restores a, b, c
         ("(c a b)", vector(B, C, A)),
         ("α and β", Z.imag + 1j * Z.real),
     ],
@@ -66,7 +66,7 @@ def test_all_currents_inverted():
 
 @pytest.mark.parametrize("measured", ["ab", "bc", "ac"])
 def test_one_of_two_currents_inverted(measured):
-    for phase, mistake in zip(measured, one_inverted(measured), strict=True):
+    for phase, mistake in zip(measured, inverted_sensors(measured), strict=True):
         given = dict(zip("abc", (A, B, C), strict=True))
         given[phase] = -given[phase]
         (other,) = set("abc") - set(measured)
@@ -85,7 +85,7 @@ def test_two_phases_given_as_alpha_and_beta():
 def test_line_voltages_and_phase_voltages():
     np.testing.assert_allclose(LINE[0].voltage(vector(A - B, B - C, C - A)), Z)
     np.testing.assert_allclose(LINE[1].voltage(vector(A - C, B - A, C - B)), Z)
-    # phases a and b, read as u_ab and u_bc
+    # Phases a and b, read as u_ab and u_bc.
     from_lines = vector((2 * A + B) / 3, (B - A) / 3, -(A + 2 * B) / 3)
     np.testing.assert_allclose(NEUTRAL[0].voltage(from_lines), Z)
     for mistake in (*LINE, *NEUTRAL):
@@ -105,7 +105,7 @@ def test_line_voltages_and_phase_voltages():
     ],
 )
 def test_scaled_signals_look_like_scaled_parameters(words, voltage, current):
-    """With u times v, and i times c, u = R i + dλ/dt holds with R v/c, L v/c and ψ v."""
+    """With v u and c i, the relation u = R i + dλ/dt holds with R v/c, L v/c and ψ v."""
     (mistake,) = [one for one in SCALES if one.words.startswith(words)]
     R, L, psi, i, di = 2.0, 0.1, 0.5, 3.0 + 1j, -7.0j
     u = R * i + L * di + 1j * psi
@@ -133,7 +133,7 @@ def test_values_of_the_machine_file(words, right_over_given):
     assert mistake.only_flux == words.startswith("psi_f")
 
 
-def test_what_an_unknown_factor_moves():
+def test_the_direction_of_an_unknown_factor():
     def moved(mistakes, words):
         return right(mistakes, words).loose
 
@@ -148,12 +148,12 @@ def test_what_an_unknown_factor_moves():
     assert not scaled.only_flux
 
 
-def test_lags_are_up_to_two_samples():
+def test_lags_reach_two_samples():
     assert [(one.lag, one.words) for one in LAG] == [(-2, "-2"), (-1, "-1"), (1, "+1"), (2, "+2")]
 
 
 def test_the_prior_of_a_mistake():
-    """In standard deviations: 25 % of R, 15 % of L, 8 % of ψ, 10 % of the voltage."""
+    """Standard deviations: 25 % of R, 15 % of L, 8 % of ψ, 10 % of the voltage for V_d."""
     known = Mistake("scale", "", resistance=2.0, inductance=3.0, flux=5.0)
     prior = known.prior(0.02)
     np.testing.assert_allclose(prior.mean, [np.log(2), np.log(3), np.log(5), 0.02])
@@ -162,7 +162,7 @@ def test_the_prior_of_a_mistake():
 
 
 def test_the_prior_of_an_unknown_factor():
-    """What it moves may be off together by e^3.5, each of them beside that by its own spread."""
+    """The common factor has a standard deviation of e^3.5, on top of each own one."""
     precision = FACTOR[0].prior(0.0).precision
     covariance = np.linalg.inv(precision)
     expected = np.diag([0.25, 0.15, 0.08, 0.1]) ** 2
@@ -170,14 +170,14 @@ def test_the_prior_of_an_unknown_factor():
     np.testing.assert_allclose(covariance, expected, rtol=1e-6, atol=1e-9)
 
 
-def test_mistakes_together():
+def test_mistakes_are_combined_in_order():
     one = Mistake("a", "", Linear(2j), Linear(0, 1j), 1, 2.0, 3.0, 5.0, (1.0, 0.0, 0.0))
     other = Mistake("b", "w", Linear(3), Linear(1, 1j), -2, 7.0, 11.0, 13.0)
-    both = together(one, other)
+    both = combine(one, other)
     assert (both.kind, both.words, both.lag) == ("b", "w", -1)
     assert (both.resistance, both.inductance, both.flux) == (14.0, 33.0, 65.0)
     assert both.loose == one.loose
     np.testing.assert_allclose(both.current(Z), 3 * (2j * Z))
     mirrored = 1j * Z.conj()
     np.testing.assert_allclose(both.voltage(Z), mirrored + 1j * mirrored.conj())
-    assert together(one, FACTOR[1]).loose == FACTOR[1].loose
+    assert combine(one, FACTOR[1]).loose == FACTOR[1].loose
