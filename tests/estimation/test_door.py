@@ -222,7 +222,7 @@ LEVER = fluxobs.example("maglev-knospe")
             RecordError,
             "did you mean 'lag'",
         ),
-        (lambda: fluxobs.estimate(fluxobs.demo_log(), SERVO, lag=1), UsageError, "open already"),
+        (lambda: fluxobs.estimate(fluxobs.demo_log(), SERVO, lag=1), UsageError, "already open"),
         (lambda: fluxobs.estimate(fluxobs.demo_log(), LEVER), RecordError, "does not fit kind"),
         (lambda: fluxobs.estimate(fluxobs.demo_log(), "servo"), MachineError, "servo-400w"),
         (lambda: fluxobs.estimate(fluxobs.demo_log(), None), MachineError, "expected a machine"),

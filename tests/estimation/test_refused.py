@@ -41,7 +41,7 @@ REFUSED = {
     "rows that differ": (
         lambda: fluxobs.estimate((U, I[:-1]), SERVO, sample_time=H),
         RecordError,
-        ["as many rows", "1500 and 1499"],
+        ["same number of rows", "1500 and 1499"],
     ),
     "a column too short": (
         lambda: fluxobs.estimate(COLUMNS | {"i_beta": I[:10, 1]}, SERVO),
@@ -76,7 +76,7 @@ REFUSED = {
     "a frame of an opened log": (
         lambda: fluxobs.estimate(fluxobs.read_log(COLUMNS), SERVO, frame="abc"),
         UsageError,
-        ["open already", "read_log"],
+        ["already open", "read_log"],
     ),
     "a layout of a record": (
         lambda: fluxobs.estimate(Record(H, U, I), SERVO, lag=-1),

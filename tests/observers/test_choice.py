@@ -95,7 +95,7 @@ def test_standard_deviations_of_learnt_parameters(
         "over_rated": 1 / current,
         "lag_std": 1.5e-5,
         "through_L": (L_noise / psi) ** 2,
-        "unmodelled": 0.1 * plain["plausible"],
+        "unmodelled": 0.1 * plain["drift_prior_std"],
         "slow": 0.03 / 100,
     }
     assert parameters.keys() == {*expected, "projection"}

@@ -130,7 +130,7 @@ def test_the_numbers_of_a_step():
         "kink_now": 0.25,
         "kink_before": -0.125,
         "noise_information": 0.0375,  # (1 + 4 + 9 + 16) / 2 * 0.05^2
-        "plausible": 3.0,
+        "drift_prior_std": 3.0,
         "drift_base": 4.0,
         "reinject": 1 - 0.998**14,
         "over_noise": 10.0,

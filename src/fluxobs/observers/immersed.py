@@ -520,7 +520,7 @@ class ImmersionObserver:
         currents = np.asarray(current, float)
         if currents.ndim != 2 or source.shape[:1] != currents.shape[:1] or source.ndim != 2:
             raise RecordError(
-                f"voltage and current must have as many rows, got {source.shape} and "
+                f"voltage and current must have the same number of rows, got {source.shape} and "
                 f"{currents.shape}"
             )
         estimates = []
