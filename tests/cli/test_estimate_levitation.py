@@ -87,7 +87,7 @@ def test_current_bias_of_a_levitation(folder):
     assert done.returncode == 0, done.stderr
     # The bias moves the position by 8 µm in a gap of 330 µm: too little to identify.
     assert "Current bias: not identifiable." in done.stdout
-    assert "--unknowns drift ignores it" in done.stdout
+    assert "use --unknowns drift, which ignores the bias" in done.stdout
     names = pl.read_csv(folder / "bias.csv").columns
     assert {"current_bias_1", "current_bias_2", "current_bias_1_std"} <= set(names)
 
