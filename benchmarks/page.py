@@ -17,9 +17,9 @@ from common import heading
 from playwright.sync_api import sync_playwright
 
 import fluxobs
-from fluxobs.estimation.report import write_report
 from fluxobs.machines.files import example_text
 from fluxobs.page import built
+from fluxobs.presentation.report import write_report
 
 PATIENCE = 300_000
 

@@ -17,6 +17,4 @@ NAMES = sorted(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_examples(name):
-    if name == "fluxobs.hosts.motulator":
-        pytest.importorskip("motulator", reason="motulator needs Python 3.12")
     assert doctest.testmod(importlib.import_module(name)).failed == 0

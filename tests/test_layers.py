@@ -23,7 +23,7 @@ FLOOR = {
 WITHIN = {
     "core": (
         ("arrays", "printable", "validation"),
-        ("references", "input_files", "symlinks", "locks"),
+        ("robust", "references", "input_files", "symlinks", "locks"),
         ("engine", "hashing", "html", "output"),
     ),
     "machines": (("model",),),

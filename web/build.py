@@ -41,12 +41,12 @@ RUNTIME = ("language", "arrays", "library", "core", "text", "npz")
 #: Modules that the page calls; their imports are included.
 ROOTS = (
     "fluxobs.estimation.two_passes",
-    "fluxobs.estimation.explanation",
+    "fluxobs.presentation.explanation",
     "fluxobs.estimation.rerun",
-    "fluxobs.estimation.plot_data",
+    "fluxobs.presentation.plot_data",
     "fluxobs.live",
     "fluxobs.logs.for_machine",
-    "fluxobs.logs.channels",
+    "fluxobs.logs.meaning.channels",
     "fluxobs.logs.formats.nested",
     "fluxobs.logs.formats.text",
     "fluxobs.machines",
@@ -93,7 +93,7 @@ REPLACED = {
     "fluxobs.logs.formats.npz",
 }
 #: Folders with files that the modules read.
-RESOURCES = ("machines/examples", "logs/presets")
+RESOURCES = ("machines/examples", "logs/meaning/presets")
 #: Rows of the demo log in the page.
 DEMO_ROWS = 1_900
 

@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from .campaigns.campaign import campaign
     from .comparison.compare import compare
     from .deployment.export import export
-    from .estimation.estimate import estimate
-    from .estimation.result import Result
     from .examination.examine import check
     from .identification.identify import identify
     from .logs import Log, read_log
+    from .presentation.estimate import estimate
+    from .presentation.result import Result
     from .simulation.closed_form.demo import demo_log
 
 __version__ = version("fluxobs")
@@ -47,12 +47,12 @@ __version__ = version("fluxobs")
 #: Loaded on first use: they import the file readers; compare and campaign also import JAX.
 _LATER = {
     "Log": "logs",
-    "Result": "estimation.result",
+    "Result": "presentation.result",
     "campaign": "campaigns.campaign",
     "check": "examination.examine",
     "compare": "comparison.compare",
     "demo_log": "simulation.closed_form.demo",
-    "estimate": "estimation.estimate",
+    "estimate": "presentation.estimate",
     "export": "deployment.export",
     "identify": "identification.identify",
     "read_log": "logs",

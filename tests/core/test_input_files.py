@@ -9,7 +9,7 @@ from fluxobs.campaigns.specification import read_specification
 from fluxobs.core.hashing import hash_file
 from fluxobs.core.input_files import MAX_TOML_BYTES
 from fluxobs.logs.formats import open_tables
-from fluxobs.logs.layout import read_fields
+from fluxobs.logs.meaning.layout import read_fields
 from fluxobs.machines import FluxPoints, read_machine
 
 READERS = [

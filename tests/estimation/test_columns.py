@@ -8,10 +8,10 @@ import pytest
 
 import fluxobs
 from fluxobs.estimation.columns import _immersed
-from fluxobs.estimation.result_data import facts
 from fluxobs.estimation.truth import TruthFit, TruthParameter
-from fluxobs.logs.aligned import Aligned
+from fluxobs.logs.time.aligned import Aligned
 from fluxobs.observers import ImmersionEstimate
+from fluxobs.presentation.result_data import facts
 from support.records import SERVO, log_columns, steady
 
 ROWS = 6

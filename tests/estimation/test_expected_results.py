@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.estimation.report import _texts
 from fluxobs.machines import example
+from fluxobs.presentation.report import _texts
 from fluxobs.simulation.closed_form.demo import LOG
 from support.expected import check
 from support.records import PMSM, SERVO, course, log_columns, steady

@@ -7,8 +7,8 @@ import pytest
 from matplotlib.colors import to_hex
 
 from fluxobs.core.plots import new_figure
-from fluxobs.estimation import picture
 from fluxobs.estimation.truth import TruthFit, TruthParameter
+from fluxobs.presentation import picture
 
 T = np.linspace(0.0, 1.0, 200)
 VALID = (T > 0.2).astype(float)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.estimation import learning, report, warnings
+from fluxobs.estimation import learning
 from fluxobs.estimation.learning import (
     Parameter,
     adaptive_needed,
@@ -15,9 +15,7 @@ from fluxobs.estimation.learning import (
     learning_segments,
     parameters,
 )
-from fluxobs.estimation.report import _channel_rows, _columns, _machine_in
 from fluxobs.estimation.statistics import Statistics
-from fluxobs.estimation.summary import _parameters, _score, paragraph, si
 from fluxobs.logs.for_machine import open_for
 from fluxobs.logs.scales import Scales
 from fluxobs.machines import example
@@ -26,6 +24,9 @@ from fluxobs.observers import for_log as prepare
 from fluxobs.observers.adaptive import DC_LINK_SHARE
 from fluxobs.observers.for_log import guess_psi_f, plain_observer, usual_speed
 from fluxobs.page.columns import exact, flags, rounded
+from fluxobs.presentation import report, warnings
+from fluxobs.presentation.report import _channel_rows, _columns, _machine_in
+from fluxobs.presentation.summary import _parameters, _score, paragraph, si
 from support.records import SERVO, log_columns, steady
 
 H, ROWS = 1e-4, 3000
@@ -73,7 +74,7 @@ def changed(run, counts=None, **statistics):
         for name in ("log", "machine", "observer", "scales", "unknowns", "memory", "priors")
     }
     fields |= {"learnt": None, "automatic": False, "causal": False, "counts": counts}
-    return fluxobs.estimation.explanation.ExplainedRun(
+    return fluxobs.presentation.explanation.ExplainedRun(
         **fields, statistics=replace(run.statistics, **statistics)
     )
 

@@ -11,10 +11,10 @@ from motulator.common.model import Sensor
 from motulator.drive import model
 from motulator.drive.control import sm as control
 from motulator.drive.control.sm import SynchronousMachinePars
+from motulator_observer import machine_of, place
 
 import fluxobs
 from fluxobs import FluxobsError
-from fluxobs.hosts.motulator import machine_of, place
 
 #: Machines of motulator's examples: a 2.2 kW PMSM and a 6.7 kW reluctance machine.
 PMSM = SynchronousMachinePars(n_p=3, R_s=3.6, L_d=0.036, L_q=0.051, psi_f=0.545)

@@ -15,7 +15,7 @@ from fluxobs.live.frames import HEAD_ROWS, HEADER, MARK, SAMPLES, Frames, frame
 from fluxobs.live.lines import HEAD_LINES, Lines
 from fluxobs.live.reorder import Order, Ordered
 from fluxobs.live.rows import StreamRows
-from fluxobs.logs.clock import even
+from fluxobs.logs.time.clock import even
 from support.records import MACHINES
 
 NAMES = ("u_alpha", "u_beta", "i_alpha", "i_beta")

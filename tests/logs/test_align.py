@@ -7,7 +7,9 @@ import polars as pl
 import pytest
 
 from fluxobs import RecordError, read_log
-from fluxobs.logs.align import (
+from fluxobs.logs.formats.arrays import ArrayTable
+from fluxobs.logs.meaning.guess import name_columns
+from fluxobs.logs.time.align import (
     _correlate,
     _energy,
     _summit,
@@ -16,9 +18,7 @@ from fluxobs.logs.align import (
     aligned_by_content,
     doubt_of_time,
 )
-from fluxobs.logs.clock import even
-from fluxobs.logs.formats.arrays import ArrayTable
-from fluxobs.logs.guess import name_columns
+from fluxobs.logs.time.clock import even
 
 H = 1e-3
 RNG = np.random.default_rng(2)

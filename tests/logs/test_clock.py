@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fluxobs import RecordError, read_log
-from fluxobs.logs.clock import (
+from fluxobs.logs.time.clock import (
     INDEXED,
     Clock,
     even,

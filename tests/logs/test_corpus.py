@@ -67,7 +67,7 @@ def test_the_corpus_is_up_to_date(name, tmp_path):
 def test_every_guess_can_be_saved(name, tmp_path):
     """A saved record reads the file in the same way, without guesses."""
     from fluxobs.logs import read_log
-    from fluxobs.logs.record_files import write_record
+    from fluxobs.logs.meaning.record_files import write_record
 
     options = {"preset": corpus.PRESETS[name]} if name in corpus.PRESETS else {}
     if name == "moteus.npz":

@@ -11,8 +11,8 @@ import pytest
 
 from fluxobs import RecordError
 from fluxobs.logs import read_log
-from fluxobs.logs.channels import list_channels
 from fluxobs.logs.formats import FORMATS, open_tables
+from fluxobs.logs.meaning.channels import list_channels
 
 ROWS = 30_000
 T = np.arange(ROWS) * 1e-4

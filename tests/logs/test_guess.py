@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from fluxobs import RecordError, read_log
-from fluxobs.logs import units
 from fluxobs.logs.formats.arrays import ArrayTable
 from fluxobs.logs.formats.table import Said
-from fluxobs.logs.guess import NamedTable, _is_index, electrical_or_mechanical, turn_of
 from fluxobs.logs.log import Truth
-from fluxobs.logs.names import is_setpoint, leaf, read_name, unit_in
+from fluxobs.logs.meaning import units
+from fluxobs.logs.meaning.guess import NamedTable, _is_index, electrical_or_mechanical, turn_of
+from fluxobs.logs.meaning.names import is_setpoint, leaf, read_name, unit_in
 
 K = np.arange(400)
 Z = np.exp(0.1j * K)

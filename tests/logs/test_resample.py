@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fluxobs import Record, RecordError
 from fluxobs.logs.record import check_lag, lag_in_words
-from fluxobs.logs.resample import course_of, resample
+from fluxobs.logs.time.resample import course_of, resample
 
 RNG = np.random.default_rng(4)
 S = np.cumsum(RNG.uniform(0.5, 1.5, 30))

@@ -7,8 +7,8 @@ import pytest
 
 from fluxobs import Record, RecordError, read_log
 from fluxobs.logs import scales
-from fluxobs.logs.aligned import Aligned
 from fluxobs.logs.scales import excerpts, measure_scales, scales_of, white_noise
+from fluxobs.logs.time.aligned import Aligned
 
 H = 1e-3
 

@@ -6,8 +6,8 @@ import pytest
 
 from fluxobs import RecordError
 from fluxobs.logs import read_log
-from fluxobs.logs.clock import rounded_rate, rounding_of
-from fluxobs.logs.resample import resample
+from fluxobs.logs.time.clock import rounded_rate, rounding_of
+from fluxobs.logs.time.resample import resample
 
 H, ROWS = 1e-4, 4000
 SPEED = 300.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fluxobs.logs.guess import TURNS, turn_of
+from fluxobs.logs.meaning.guess import TURNS, turn_of
 
 
 @pytest.mark.parametrize(("turn", "unit"), TURNS.items())

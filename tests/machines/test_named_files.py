@@ -8,7 +8,7 @@ import pytest
 
 from fluxobs.campaigns.specification import read_specification
 from fluxobs.errors import FluxobsError
-from fluxobs.logs.layout import read_fields
+from fluxobs.logs.meaning.layout import read_fields
 from fluxobs.machines import FluxPoints, SynchronousReluctance, read_machine
 from fluxobs.machines.saving import write_machine
 

@@ -22,9 +22,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fluxobs.logs import guess, names, units
 from fluxobs.logs.formats import timing
 from fluxobs.logs.formats.text import cells, structure
+from fluxobs.logs.meaning import guess, names, units
 
 HERE = Path(__file__).parent
 WEB = HERE.parents[1] / "web"

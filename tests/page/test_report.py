@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.estimation.report import write_report
+from fluxobs.presentation.report import write_report
 from support.page_logs import written
 
 

@@ -106,7 +106,7 @@ function runOver(log, machine, unknowns, memory, priors, causal, progress) {
   const kept = gather(len(log));
   for (const rows of passes.rows(share)) kept.add(rows);
   opened.log = log;
-  opened.run = $py("estimation.explanation").ExplainedRun(
+  opened.run = $py("presentation.explanation").ExplainedRun(
     $kw(Object.fromEntries(passes.found().items())),
   );
   opened.kept = null;
@@ -127,7 +127,7 @@ const actions = {
         ]),
       ),
       sheet: plain(FIELDS),
-      presets: [...$py("logs.presets").preset_names()],
+      presets: [...$py("logs.meaning.presets").preset_names()],
     };
   },
 
@@ -146,7 +146,7 @@ const actions = {
 
   channels({ options }) {
     const layout = layoutOf(options);
-    const listing = $py("logs.channels").list_channels(
+    const listing = $py("logs.meaning.channels").list_channels(
       ...opened.paths,
       $kw(layout.header ? { header: layout.header } : {}),
     );
@@ -167,8 +167,8 @@ const actions = {
     return {
       columns,
       notes: plain(log.notes),
-      summary: $py("estimation.summary").paragraph(opened.run, null, null),
-      ...plain($py("estimation.plot_data").shown(opened.run)),
+      summary: $py("presentation.summary").paragraph(opened.run, null, null),
+      ...plain($py("presentation.plot_data").shown(opened.run)),
     };
   },
 
@@ -232,7 +232,7 @@ const actions = {
     const layout = { ...layoutOf(options), unknowns, memory, priors };
     opened.watch = Watch(made, Path("stream"), $kw(layout));
     return {
-      ...plain($py("estimation.plot_data").shown_machine(made)),
+      ...plain($py("presentation.plot_data").shown_machine(made)),
       adaptive: opened.watch.unknowns.length > 1,
     };
   },

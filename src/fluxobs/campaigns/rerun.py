@@ -11,10 +11,10 @@ import numpy as np
 import polars as pl
 
 from ..errors import UsageError
-from ..estimation import Result
-from ..estimation.estimate import estimate
 from ..logs.record import Record
 from ..machines import RotatingMachine
+from ..presentation import Result
+from ..presentation.estimate import estimate
 from .columns import schema
 from .draws import scenarios, total
 from .drives import cell_of

@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 
 from ..core.arrays import Array
-from ..logs.guess import DUTY_MOST, TURNS, turn_of
 from ..logs.log import Log
+from ..logs.meaning.guess import DUTY_MOST, TURNS, turn_of
 from ..machines.model.frames import PHASE_CURRENTS
 from .findings import Finding
 from .segments import without_spikes

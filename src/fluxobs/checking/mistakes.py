@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.arrays import Array
+from ..logs.record import LAGS
 from ..machines.model.frames import PHASE_CURRENTS, clarke, three_phases
 from .relation import Prior
-from .segments import LAGS, Complex
+from .segments import Complex
 
 #: Standard deviations of a machine file's values: ln R (hot copper), ln L (saturation), ln ψ
 #: (heat); and V_d, which it seldom holds, as a share of the voltage.

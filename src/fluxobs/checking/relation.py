@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array
+from ..core.robust import HUBER, huber_weight
 from ..machines import RotatingMachine
 from ..machines.model.held import mean_current
 from ..machines.model.inverter import inverter_direction
@@ -32,8 +33,6 @@ PAIRS = 100
 MODEL = 0.005
 #: Number of independent rows in a segment: model errors repeat in every turn.
 INDEPENDENT = 4.0
-#: Larger residuals, in standard deviations, count linearly (Huber's constant).
-HUBER = 1.345
 #: Prior standard deviation of the drift, as a share of the voltage.
 DRIFT = 0.03
 ITERATIONS, HALVINGS = 25, 5
@@ -282,7 +281,7 @@ class RelationResidual:
         std = np.hypot(MODEL * size, inductance * self.noise)
         neighbour = _swap_pairs(residual)
         scaled = np.abs(residual + neighbour) / (2 * std)
-        huber = np.minimum(1.0, HUBER / (scaled + 1e-300))
+        huber = huber_weight(scaled, 1.0)
         row_weight = INDEPENDENT / scaled.shape[1]
         square = residual * neighbour / std**2
         loss = np.where(huber < 1, HUBER * scaled * 2 - HUBER**2, square)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..errors import FluxobsError
 from ..logs.log import Log
+from ..logs.record import LAGS
 from ..logs.scales import excerpts
 from ..machines import RotatingMachine
 from ..machines.model.held import without_kinks
@@ -18,8 +19,6 @@ from ..machines.model.held import without_kinks
 Complex = NDArray[np.complex128]
 VectorMap = Callable[[Complex], Complex]
 
-#: Voltage lags that are tested, relative to the given lag [samples].
-LAGS = (-2, -1, 0, 1, 2)
 #: A segment lasts this many turns, but at least this time [s] and this many rows. The drift is
 #: assumed constant within it.
 TURNS, SECONDS, SHORTEST = 3.0, 0.05, 100

@@ -97,7 +97,7 @@ def estimate_logs(
 def _show(fleet: Fleet, quiet: bool) -> None:
     from rich.table import Table
 
-    from ..estimation.summary import si
+    from ..presentation.summary import si
 
     failed = fleet.failed
     estimated = len(fleet.table) - len(failed)

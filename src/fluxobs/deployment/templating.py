@@ -7,18 +7,14 @@ import re
 from collections.abc import Mapping
 from importlib import resources
 
-from .. import _core
 from ..machines import RotatingMachine
 from ..observers import Estimate, outputs
+from ..observers.thresholds import VOLTAGE_LIMIT
 from .core import Core
 from .costs import cost_table, read_costs
 from .header import Exported, bases, parameters, settings
 from .variables import ADAPTIVE, output_variables
 from .vectors import COLUMNS
-
-#: Angle by which a voltage error of the size of the drift prior may turn the flux while the
-#: position is valid [rad].
-VOLTAGE_LIMIT: float = _core.thresholds["VOLTAGE_LIMIT"]
 
 
 def fill(core: Core, template: str, more: Mapping[str, str] | None = None) -> str:

@@ -1,6 +1,1 @@
-"""Estimate flux, position, speed and drift from a log, with standard deviations."""
-
-from .estimate import estimate
-from .result import Result
-
-__all__ = ["Result", "estimate"]
+"""Estimation over a log: one or two passes of the observer, statistics, and a truth to compare."""

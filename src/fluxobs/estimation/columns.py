@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array
-from ..logs.aligned import Aligned
 from ..logs.log import Log
+from ..logs.time.aligned import Aligned
 from ..machines import Machine
 from ..observers import AdaptiveEstimate, Estimate, ImmersionEstimate, ImmersionObserver
 from ..observers.derived import derived

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..logs.aligned import Aligned, joined, less_lost
 from ..logs.log import Log
 from ..logs.scales import Scales
+from ..logs.time.aligned import Aligned, joined, less_lost
 from ..machines import Machine
 from ..observers import AdaptiveObserver
 from ..observers.for_log import prepare

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array
+from ..core.robust import huber_weight
 from ..machines import RotatingMachine
 from ..machines.model.frames import wrap
 from .columns import EstimateRows
@@ -26,8 +27,6 @@ MAX_ROWS, MAX_EDGES = 40_000, 200_000
 SPAN = 32
 #: Number of blocks of rows whose errors are assumed to be independent.
 BLOCKS = 40
-#: Errors beyond this many standard deviations count linearly (Huber's constant).
-HUBER = 1.345
 #: A ratio of turns this close to an integer, relatively, is that number of pole pairs.
 WHOLE = 0.02
 #: Speeds must differ by this share of the largest to separate a delay from the zero.
@@ -344,7 +343,7 @@ def _robust(X: Array, y: Array, row: Array) -> tuple[Array, Array, Array]:
         value = np.linalg.lstsq(B.T @ A, B.T @ y, rcond=1e-12)[0]
         residual = y - A @ value
         sigma = 1.4826 * float(np.median(np.abs(residual))) + 1e-12
-        weight = np.minimum(1.0, HUBER * sigma / (np.abs(residual) + 1e-300))
+        weight = huber_weight(residual, sigma)
     inverse = np.linalg.pinv((A * weight[:, None]).T @ A, rcond=1e-12)
     edges = np.linspace(row[0], row[-1] + 1, BLOCKS + 1)
     block = np.searchsorted(edges, row, side="right") - 1

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import FluxobsError
-from ..estimation import Result, estimate
 from ..estimation.learning import parameters
-from ..estimation.summary import mean_of
 from ..identification import identify
 from ..logs.log import Log
 from ..machines import RotatingMachine
 from ..machines.heat import COLD, COPPER
 from ..observers.adaptive import Learnt
 from ..observers.unknowns import ALL
+from ..presentation import Result, estimate
+from ..presentation.summary import mean_of
 from .item import Item, flag_if, judge
 
 #: Highest normal winding temperature [°C].

@@ -13,8 +13,8 @@ import polars as pl
 from ..core.arrays import Array
 from ..core.validation import nearest
 from ..errors import UsageError
-from ..estimation.summary import si
 from ..machines.heat import COPPER
+from ..presentation.summary import si
 from .changes import LEAST, Course, course_of
 
 #: Followed parameters: column of the standard deviation, unit, label.

@@ -19,10 +19,10 @@ from ..core.hashing import hash_file
 from ..core.output import write_text
 from ..core.printable import visible
 from ..errors import FluxobsError
-from ..estimation import Result
-from ..estimation.estimate import estimate
 from ..estimation.learning import UNSEEN, parameters
 from ..machines import Machine, as_machine
+from ..presentation import Result
+from ..presentation.estimate import estimate
 from .sources import Source
 
 #: Folders of the results: estimates, and a note on each log.

@@ -18,14 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checking.segments import LAGS
 from ..core.arrays import Array
-from ..observers.immersed import CORRELATION_LIMIT
+from ..core.robust import huber_loss, huber_weight
+from ..logs.record import LAGS
+from ..observers.thresholds import CORRELATION_LIMIT
 from .relations import SATURATION, Linearisation, ResidualFunction, linear
 from .segments import Segment
 
-#: Huber's constant: 95 % of the efficiency of least squares under normal noise.
-HUBER = 1.345
 ITERATIONS, HALVINGS = 60, 12
 #: The iteration ends at steps below this share of the uncertainty.
 CONVERGED = 1e-4
@@ -218,14 +217,12 @@ def _are_possible(values: Mapping[str, float]) -> bool:
 
 def _cost(residuals: Sequence[Array], scale: float) -> float:
     """Return Huber's loss of all residuals."""
-    r = np.abs(np.concatenate(residuals)) / scale
-    return float(np.sum(np.where(r < HUBER, r**2 / 2, HUBER * r - HUBER**2 / 2)))
+    return float(np.sum(huber_loss(np.concatenate(residuals), scale)))
 
 
 def _weights(residual: Array, scale: float) -> Array:
     """Return the square roots of Huber's weights."""
-    r = np.abs(residual) / scale
-    return np.asarray(np.sqrt(np.where(r < HUBER, 1.0, HUBER / np.maximum(r, HUBER))))
+    return np.asarray(np.sqrt(huber_weight(residual, scale)))
 
 
 def fit(

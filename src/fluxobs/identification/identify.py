@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checking.segments import LAGS
 from ..core.validation import nearest
 from ..errors import FluxobsError
 from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
+from ..logs.record import LAGS
 from ..logs.scales import Scales
 from ..machines import (
     AlgebraicSaturation,

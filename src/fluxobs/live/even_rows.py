@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array
-from ..logs.clock import LONGEST_GAP, Clock, missing_steps
 from ..logs.formats.table import Columns
+from ..logs.time.clock import LONGEST_GAP, Clock, missing_steps
 
 
 class Spaced:

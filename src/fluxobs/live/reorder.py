@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..core.arrays import Array
-from ..logs.clock import Clock, longest_step
+from ..logs.time.clock import Clock, longest_step
 from .rows import StreamRows, joined
 
 #: A stamp farther ahead than this [s] means that the sender restarted.

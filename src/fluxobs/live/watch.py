@@ -10,11 +10,11 @@ from typing import Any
 
 from ..errors import RecordError, UsageError
 from ..estimation.columns import EstimateRows, rows_of
-from ..logs.aligned import Aligned, between, joined, less_lost
 from ..logs.for_machine import open_for
-from ..logs.layout import Layout
 from ..logs.log import Log
+from ..logs.meaning.layout import Layout
 from ..logs.scales import Scales, scales_of
+from ..logs.time.aligned import Aligned, between, joined, less_lost
 from ..machines import Machine, RotatingMachine
 from ..observers import LogObserver
 from ..observers.for_log import Prepared, prepare

@@ -1,7 +1,7 @@
 """Recorded data: files and arrays, the meaning of their columns, and the sizes of their signals."""
 
-from .layout import Layout
 from .log import Log
+from .meaning.layout import Layout
 from .read import Source, read_log
 from .record import Record
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from ..errors import RecordError
 from ..machines.model.frames import Frame, alphabeta_current
-from . import units
-from .align import aligned_by_content, doubt_of_time
-from .clock import Clock
 from .formats import Table, missing_column
-from .guess import (
+from .log import Log, Truth, rows_between
+from .meaning import units
+from .meaning.guess import (
     Guess,
     NamedTable,
     base_table,
@@ -23,11 +22,12 @@ from .guess import (
     name_columns,
     turn_of,
 )
-from .layout import Layout
-from .log import Log, Truth, rows_between
-from .resample import Course, course_of
-from .timed import Timed, for_columns_of, put_on_uniform_rows
-from .uniform import JoinedTable, ResampledTable
+from .meaning.layout import Layout
+from .time.align import aligned_by_content, doubt_of_time
+from .time.clock import Clock
+from .time.resample import Course, course_of
+from .time.timed import Timed, for_columns_of, put_on_uniform_rows
+from .time.uniform import JoinedTable, ResampledTable
 
 
 def assemble(

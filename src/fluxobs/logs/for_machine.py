@@ -8,8 +8,8 @@ from typing import Any
 from ..errors import RecordError
 from ..machines import Machine, RotatingMachine
 from ..machines.model.frames import Frame
-from .guess import ROTATING
 from .log import Log
+from .meaning.guess import ROTATING
 from .read import read_log
 
 #: Truth channels of a rotor other than its angle.

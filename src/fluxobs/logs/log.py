@@ -13,12 +13,12 @@ from ..errors import RecordError
 from ..machines.model.frames import Frame
 from ..machines.model.held import Held
 from ..machines.model.inverter import InverterError
-from .aligned import Aligned, Aligning
-from .clock import Clock
 from .formats import BATCH, Table
 from .formats.table import Columns
-from .layout import Layout
+from .meaning.layout import Layout
 from .record import Record, check_lag
+from .time.aligned import Aligned, Aligning
+from .time.clock import Clock
 
 MINIMUM_ROWS = 20
 

@@ -14,10 +14,10 @@ from ..machines.model.frames import CURRENTS, VOLTAGES, Frame
 from .assemble import assemble
 from .formats import Table, open_tables
 from .formats.arrays import ArrayTable
-from .guess import ROTATING
-from .layout import CONVERTING, Layout, read_fields
 from .log import Log
-from .presets import preset_fields
+from .meaning.guess import ROTATING
+from .meaning.layout import CONVERTING, Layout, read_fields
+from .meaning.presets import preset_fields
 from .record import Record, alphabeta_rows
 
 #: Source of :func:`read_log`: a file; a log or a record; a mapping of channels (or columns) to

@@ -11,6 +11,8 @@ from ..core.arrays import Array
 from ..errors import RecordError
 from ..machines.model.frames import clarke
 
+#: Voltage lags that occur in practice, relative to the given lag [samples].
+LAGS = (-2, -1, 0, 1, 2)
 #: Sample times of record and observer may differ by this share, the accuracy of clocks.
 SAMPLE_TIME_TOLERANCE = 1e-3
 

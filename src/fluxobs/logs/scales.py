@@ -11,8 +11,8 @@ import numpy as np
 from ..core.arrays import Array
 from ..errors import RecordError
 from ..machines.model.frames import wrap
-from .aligned import Aligned, between, joined
 from .log import Log
+from .time.aligned import Aligned, between, joined
 
 #: Number and rows of the excerpts examined, evenly spread over a log.
 EXCERPTS, EXCERPT_ROWS = 64, 16384

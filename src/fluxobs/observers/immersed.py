@@ -12,20 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import _core
 from ..core.arrays import Array
 from ..errors import ObserverError, RecordError, UsageError
 from ..logs.record import Record
 from ..machines.model.immersion import Immersion
 from .base import SampleCounts
 from .outputs import documented, output
+from .thresholds import CORRELATION_LIMIT, MISSING, NOISE_SHARE_LIMIT
 
-#: Largest share of the flux information that may be noise, as in the compiled observer.
-NOISE_SHARE_LIMIT: float = _core.thresholds["SHARE_LIMIT"]
-#: Cap on the correlation of successive innovations, as in the compiled observer.
-CORRELATION_LIMIT: float = _core.thresholds["CORRELATION_LIMIT"]
-#: This many missing samples in a row erase all information, as in the compiled observer.
-MISSING: int = int(_core.thresholds["MAX_CONSECUTIVE_BAD"]) + 1
 #: A flux is known if its standard deviation is below this share of the flux, per-unit: 3° of the
 #: angle of a rotor's flux, as in the compiled observer (STD_LIMIT).
 KNOWN = 0.05

@@ -27,7 +27,7 @@ def channels(
 
     Example: fluxobs channels LOG.csv
     """
-    from ...logs.channels import list_channels
+    from ...logs.meaning.channels import list_channels
 
     listing = list_channels(log, *(join or []), header=header)
     if as_json:

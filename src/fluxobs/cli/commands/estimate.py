@@ -30,7 +30,7 @@ from ..options import (
 )
 
 if TYPE_CHECKING:
-    from ...estimation import Result
+    from ...presentation import Result
 
 
 #: Exit code if no row is valid: the estimates are written but not usable.
@@ -155,7 +155,7 @@ def estimate(
     from ... import estimate as run
     from ...core.output import check_new
     from ...core.plots import REPORTS, check_path
-    from ...logs.record_files import write_record
+    from ...logs.meaning.record_files import write_record
 
     if out is not None:
         refuse_input_as_output(out, machine, layout.get("record"))

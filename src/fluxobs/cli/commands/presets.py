@@ -18,7 +18,7 @@ def presets(
 
     Example: fluxobs presets mesc > my-tool.toml
     """
-    from ...logs.presets import preset_names, preset_text
+    from ...logs.meaning.presets import preset_names, preset_text
 
     if name is not None:
         typer.echo(preset_text(name), nl=False)

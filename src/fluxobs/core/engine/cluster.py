@@ -9,7 +9,7 @@ from contextlib import ExitStack, suppress
 from typing import Any, TypeVar
 
 from ...errors import FluxobsError
-from .compute import AHEAD, TRIES, Lost
+from .policy import MAX_ATTEMPTS, TASKS_PER_WORKER, GivenUp
 
 Task = TypeVar("Task")
 
@@ -27,7 +27,7 @@ def in_cluster(
     work: Callable[[Task], Any],
     workers: int,
     address: str | None,
-    lost: Lost,
+    lost: GivenUp,
 ) -> Iterator[tuple[Task, Any]]:
     """See :func:`compute`; without an address, start a cluster of one thread per process.
 
@@ -44,7 +44,7 @@ def in_cluster(
             'a scheduler needs the extra "cluster": pip install "fluxobs[cluster]"'
         ) from None
     settings = {
-        "distributed.scheduler.allowed-failures": TRIES - 1,
+        "distributed.scheduler.allowed-failures": MAX_ATTEMPTS - 1,
         "distributed.scheduler.no-workers-timeout": f"{ABANDONED}s",
         "distributed.comm.timeouts.connect": PATIENCE,
         "distributed.worker.daemon": True,
@@ -86,7 +86,7 @@ def in_cluster(
             return str(future.key)
 
         def hand_out() -> None:
-            for _ in range(AHEAD * count_workers() - len(under_way)):
+            for _ in range(TASKS_PER_WORKER * count_workers() - len(under_way)):
                 task = next(upcoming, None)
                 if task is None:
                     break

@@ -8,17 +8,12 @@ from typing import Any, TypeVar
 
 from ...errors import FluxobsError, UsageError
 from .environment import for_workers
+from .policy import MAX_ATTEMPTS, GivenUp
 
 Task = TypeVar("Task")
 
 #: Names of schedulers: Dask on this machine (the pool if Dask is not installed); the pool.
 LOCAL, POOL = "local", "pool"
-#: Tasks handed out per worker: one in work, one waiting.
-AHEAD = 2
-#: Attempts at a task whose worker dies.
-TRIES = 5
-#: Returns the result of a task that is given up.
-Lost = Callable[[Any], Any]
 
 
 def processors() -> int:
@@ -31,7 +26,7 @@ def compute(
     work: Callable[[Task], Any],
     workers: int | None = None,
     scheduler: str = LOCAL,
-    lost: Lost | None = None,
+    lost: GivenUp | None = None,
 ) -> Iterator[tuple[Task, Any]]:
     """Do tasks in other processes; yield each with its result, in the order of completion.
 
@@ -76,7 +71,7 @@ def compute(
 def give_up(task: Any) -> Any:
     """Raise FluxobsError for a task that always kills its worker."""
     raise FluxobsError(
-        f"{task}: its worker died {TRIES} times, probably out of memory; use fewer workers"
+        f"{task}: its worker died {MAX_ATTEMPTS} times, probably out of memory; use fewer workers"
     )
 
 

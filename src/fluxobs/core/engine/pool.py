@@ -11,7 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
-from .compute import AHEAD, TRIES, Lost
+from .policy import MAX_ATTEMPTS, TASKS_PER_WORKER, GivenUp
 
 Task = TypeVar("Task")
 
@@ -33,7 +33,7 @@ def _prepare_worker() -> None:
 
 
 def in_pool(
-    tasks: Iterable[Task], work: Callable[[Task], Any], workers: int, lost: Lost
+    tasks: Iterable[Task], work: Callable[[Task], Any], workers: int, lost: GivenUp
 ) -> Iterator[tuple[Task, Any]]:
     """See :func:`compute`.
 
@@ -50,7 +50,7 @@ def in_pool(
         under_way: dict[Future[Any], tuple[Task, int]] = {}
         try:
             while True:
-                limit = 1 if retries else AHEAD * workers
+                limit = 1 if retries else TASKS_PER_WORKER * workers
                 while len(under_way) < limit and (retries or not exhausted):
                     if retries:
                         task, attempts = retries.pop()
@@ -80,8 +80,8 @@ def in_pool(
             raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-        given_up = [task for task, attempts in retries if attempts >= TRIES]
-        retries = [(task, attempts) for task, attempts in retries if attempts < TRIES]
+        given_up = [task for task, attempts in retries if attempts >= MAX_ATTEMPTS]
+        retries = [(task, attempts) for task, attempts in retries if attempts < MAX_ATTEMPTS]
         for task in given_up:
             yield task, lost(task)
 

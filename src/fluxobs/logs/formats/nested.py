@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.arrays import Array
 from ...errors import RecordError
-from ..names import key, read_name
+from ..meaning.names import key, read_name
 from .table import BATCH, Columns, Said, Table
 from .timing import INTERVAL, RATE, START
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from ..units import UNITS, plain
+from ..meaning.units import UNITS, plain
 
 
 def _words(text: str) -> frozenset[str]:

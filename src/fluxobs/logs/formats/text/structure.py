@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from ....errors import RecordError
-from ...names import key, read_name
-from ...units import known
+from ...meaning.names import key, read_name
+from ...meaning.units import known
 from ..table import Said
 from ..timing import INTERVAL, RATE, START, interval_from, rate_from, seconds_from
 from .cells import (

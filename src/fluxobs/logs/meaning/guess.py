@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
-from ..errors import RecordError
-from ..machines.model.frames import CURRENTS, PHASE_CURRENTS, VOLTAGES, Frame
+from ...core.arrays import Array
+from ...errors import RecordError
+from ...machines.model.frames import CURRENTS, PHASE_CURRENTS, VOLTAGES, Frame
+from ..formats import Table, read_rows
 from . import units
-from .formats import Table, read_rows
 from .layout import CONVERTING, NO_COLUMN, NO_TRUTH, keys_for
 from .names import Named, is_setpoint, leaf, read_name
 

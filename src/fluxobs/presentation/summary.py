@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..checking.findings import Check
+from ..estimation.learning import UNSEEN, learning_segments, parameters
+from ..estimation.run import LogRun
+from ..estimation.truth import TruthFit
 from ..logs.record import lag_in_words
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
 from ..observers.immersed import UNSEEN_BIAS
-from .learning import UNSEEN, learning_segments, parameters
-from .run import LogRun
-from .truth import TruthFit
 
 
 def si(value: float, unit: str) -> str:

@@ -10,13 +10,13 @@ from typing import Any
 from ..checking.findings import Check
 from ..checking.search import check_log
 from ..errors import FluxobsError
+from ..estimation.learning import parameters
+from ..estimation.run import LogRun
+from ..estimation.truth import TruthFit, fit_truth
 from ..machines import Machine, RotatingMachine
 from ..machines.file_text import with_found
-from .learning import parameters
 from .result_data import facts
-from .run import LogRun
 from .summary import paragraph
-from .truth import TruthFit, fit_truth
 from .warnings import warnings
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..core.arrays import Array
+from ...core.arrays import Array
 
 #: Course of a channel between its samples: a command is held until the next one, an angle wraps, a
 #: state jumps.

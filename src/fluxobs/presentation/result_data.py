@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .learning import parameters
-from .run import LogRun
-from .truth import TruthFit
+from ..estimation.learning import parameters
+from ..estimation.run import LogRun
+from ..estimation.truth import TruthFit
 
 
 def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[str, Any]:

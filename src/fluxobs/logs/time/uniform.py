@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
+from ...core.arrays import Array
+from ..formats.table import BATCH, Columns, Table
 from .clock import INDEXED, Clock
-from .formats.table import BATCH, Columns, Table
 from .resample import Course, resample
 
 #: Extra rows on each side that resampling may need.

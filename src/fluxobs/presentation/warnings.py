@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from ..checking.findings import Check
+from ..estimation.columns import is_position
+from ..estimation.learning import doubtful
+from ..estimation.run import LogRun
+from ..estimation.truth import TruthFit
 from ..machines import RotatingMachine
 from ..machines.model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
-from .columns import is_position
-from .learning import doubtful
-from .run import LogRun
 from .summary import bias_is_seen, si
-from .truth import TruthFit
 
 #: Warn below this many samples per electrical period: the error of the cubic through four currents
 #: then exceeds a percent of the resistive drop (benchmarks/accuracy.py).

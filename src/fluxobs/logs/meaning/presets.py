@@ -6,8 +6,8 @@ import tomllib
 from importlib import resources
 from typing import Any
 
-from ..core.validation import nearest
-from ..errors import RecordError
+from ...core.validation import nearest
+from ...errors import RecordError
 from .layout import fields_from
 
 

@@ -12,9 +12,9 @@ from ..core.arrays import Array
 from ..core.plots import BLUE, GREY, ORANGE, STYLE, legend, new_figure, plain
 from ..core.validation import nearest
 from ..errors import UsageError
+from ..estimation.run import LogRun
+from ..estimation.truth import TruthFit
 from ..observers import ImmersionObserver
-from .run import LogRun
-from .truth import TruthFit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..estimation.run import LogRun
 from ..machines import Machine
-from .run import LogRun
 
 
 def shown_machine(machine: Machine) -> dict[str, Any]:

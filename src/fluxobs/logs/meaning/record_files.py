@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..core.output import check_new, write_text
-from ..machines.file_text import comment
+from ...core.output import check_new, write_text
+from ...machines.file_text import comment
+from ..log import Log
 from .layout import NO_COLUMN
-from .log import Log
 
 _MAPPINGS = ("columns", "unit", "adc", "scale", "offset", "truth")
 

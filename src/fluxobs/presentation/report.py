@@ -13,13 +13,13 @@ import numpy as np
 from .. import page as web
 from ..checking.findings import Check
 from ..core.output import write_text
+from ..estimation.run import LogRun
 from ..logs.log import Log
 from ..machines.file_text import machine_text
 from ..observers import ImmersionObserver
 from ..page.columns import exact, flags, rounded
 from .plot_data import shown
 from .result import Result
-from .run import LogRun
 
 #: A report leaves out a longer encoded record [characters]. It then shows, but cannot recompute.
 MAX_RECORD_SIZE = 8_000_000

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..core.arrays import Array
-from ..machines.model.frames import Frame, alphabeta_current, native_voltage, rotate, wrap
-from ..machines.model.inverter import InverterError
-from .formats.table import Columns
-from .record import interval_rows
+from ...core.arrays import Array
+from ...machines.model.frames import Frame, alphabeta_current, native_voltage, rotate, wrap
+from ...machines.model.inverter import InverterError
+from ..formats.table import Columns
+from ..record import interval_rows
 
 
 class Aligned(NamedTuple):

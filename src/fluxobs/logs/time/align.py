@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.arrays import Array
-from ..errors import RecordError
+from ...core.arrays import Array
+from ...errors import RecordError
+from ..formats import Table, read_rows
+from ..meaning.guess import NamedTable
+from ..meaning.names import read_name
 from .clock import Clock
-from .formats import Table, read_rows
-from .guess import NamedTable
-from .names import read_name
 from .resample import resample
 
 #: Rows compared of each file.

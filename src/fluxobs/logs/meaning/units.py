@@ -6,8 +6,8 @@ import math
 import re
 from typing import Literal
 
-from ..core.validation import nearest
-from ..errors import RecordError
+from ...core.validation import nearest
+from ...errors import RecordError
 
 #: Physical quantity of a channel.
 Quantity = Literal["time", "current", "voltage", "duty", "angle", "speed", "length"]

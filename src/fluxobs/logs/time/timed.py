@@ -8,14 +8,14 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..core.arrays import Array
-from ..errors import RecordError
-from . import units
+from ...core.arrays import Array
+from ...errors import RecordError
+from ..formats import Table
+from ..meaning import units
+from ..meaning.guess import Guess, NamedTable
+from ..meaning.layout import NO_COLUMN, Layout
+from ..meaning.names import read_name
 from .clock import Clock, even, measure
-from .formats import Table
-from .guess import Guess, NamedTable
-from .layout import NO_COLUMN, Layout
-from .names import read_name
 from .resample import Course
 from .uniform import FilledTable, ResampledTable
 

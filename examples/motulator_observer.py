@@ -16,9 +16,8 @@ from motulator.drive.control.sm import (
     SynchronousMachinePars,
 )
 
-from ..errors import FluxobsError
-from ..machines import InteriorPMSM, RotatingMachine, SurfacePMSM, SynchronousReluctance
-from ..observers import AdaptiveObserver, LeastSquaresObserver
+from fluxobs import AdaptiveObserver, FluxobsError, LeastSquaresObserver
+from fluxobs.machines import InteriorPMSM, RotatingMachine, SurfacePMSM, SynchronousReluctance
 
 #: Inductances are taken as equal if they differ by less than this share.
 ROUND = 1e-6

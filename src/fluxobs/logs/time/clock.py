@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
-from ..errors import RecordError
-from .formats import Table, read_rows
+from ...core.arrays import Array
+from ...errors import RecordError
+from ..formats import Table, read_rows
 
 #: A longer step is a gap [sample times].
 GAP = 1.6

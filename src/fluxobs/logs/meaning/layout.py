@@ -8,11 +8,11 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from ..core.input_files import parse_toml, read_toml
-from ..core.references import beside
-from ..core.validation import Number, Positive, complaints, nearest
-from ..errors import FluxobsError, RecordError
-from ..machines.model.frames import CURRENTS, FRAMES, VOLTAGES, Frame
+from ...core.input_files import parse_toml, read_toml
+from ...core.references import beside
+from ...core.validation import Number, Positive, complaints, nearest
+from ...errors import FluxobsError, RecordError
+from ...machines.model.frames import CURRENTS, FRAMES, VOLTAGES, Frame
 from . import units
 
 #: All channels that a log may have.

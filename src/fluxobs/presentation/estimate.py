@@ -11,13 +11,13 @@ import polars as pl
 
 from ..core.output import check_out, write_rows
 from ..core.validation import number
+from ..estimation.two_passes import Passes
 from ..logs.for_machine import open_for
 from ..logs.read import Source
 from ..machines import Machine
 from ..machines.files import as_machine
 from ..observers.unknowns import read_unknowns
 from .result import Result
-from .two_passes import Passes
 
 
 def estimate(

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FluxobsError
-from .formats import Table, open_tables, read_rows
+from ...errors import FluxobsError
+from ..formats import Table, open_tables, read_rows
 from .guess import ROTATING, Columns, NamedTable, guess, name_columns
 from .names import read_name
 from .units import factor

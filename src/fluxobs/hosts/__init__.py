@@ -1,1 +1,0 @@
-"""Observers inside simulators of other projects."""

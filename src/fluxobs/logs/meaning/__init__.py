@@ -1,0 +1,1 @@
+"""Meaning of the columns of a log: names, units, layouts, presets, guesses."""

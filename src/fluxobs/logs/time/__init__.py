@@ -1,0 +1,1 @@
+"""Time of a log: stamps, gaps, jitter, clocks of several files, voltage intervals."""
