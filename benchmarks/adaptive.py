@@ -20,6 +20,7 @@ from common import MEASURED, Array, degrees_error, heading
 from fluxobs import AdaptiveObserver
 from fluxobs.comparison.scenarios import believed_machine
 from fluxobs.machines import InteriorPMSM, example
+from fluxobs.observers import Priors
 from fluxobs.simulation.drive import (
     Course,
     Inverter,
@@ -411,10 +412,12 @@ def score_lane(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[f
         believed,
         sample_time=h,
         current_noise=0.003 * machine.rated_current,
-        resistance_std=0.2 * believed.R_s,
-        psi_f_std=0.15 * believed.psi_f,
-        inverter_std=0.1 * machine.R_s * machine.rated_current,
         slow_memory=1000.0,  # parameters are constant here
+        priors=Priors(
+            resistance=0.2 * believed.R_s,
+            psi_f=0.15 * believed.psi_f,
+            inverter=0.1 * machine.R_s * machine.rated_current,
+        ),
     )
     voltage = np.stack([u.real, u.imag], axis=1)
     voltage = np.concatenate([np.full((1, 2), np.nan), voltage[:-1]])

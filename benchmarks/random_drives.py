@@ -19,6 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from fluxobs import AdaptiveObserver, SurfacePMSM
 from fluxobs.machines import RotatingMachine, example
+from fluxobs.observers import Priors
 from fluxobs.simulation.closed_form.signals import Complex, between_rows, driven, vectors
 
 DURATION, PARTS = 6.0, 4
@@ -155,8 +156,7 @@ def drive(job: tuple[str, int, float]) -> list[float]:
         unknowns=("drift", "resistance", "inverter", "asymmetry"),
         current_noise=record.noise,
         dc_link=record.dc_link,
-        inductance_std=0.0,  # inductances and lag are exact here
-        lag_std=0.0,
+        priors=Priors(inductance=0.0, lag=0.0),  # both are exact here
     )
     estimate = observer.run(vectors(record.voltage), vectors(record.current))
     error = np.abs(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fluxobs import AdaptiveObserver, FluxobsError, SurfacePMSM
+from fluxobs.observers import Priors
 from support.records import COURSE_TIME as H
 from support.records import MACHINES, course, driven, profile, wrapped_degrees
 from support.records import PMSM as MACHINE
@@ -90,7 +91,9 @@ def test_resistance(factor):
     samples = course()
     assumed = MACHINE.model_copy(update={"R_s": MACHINE.R_s * factor})
     observer = AdaptiveObserver.for_machine(
-        assumed, sample_time=H, resistance_std=0.5 * assumed.R_s
+        assumed,
+        sample_time=H,
+        priors=Priors(resistance=0.5 * assumed.R_s),
     )
     estimate = observer.run(samples.voltage, samples.current)
     settled = slice(int(0.7 / H), None)
@@ -114,7 +117,11 @@ def test_never_certain_and_wrong(assumed):
     samples = driven(true, h, speed, current, noise=0.05)
     biased = samples.current + np.array([0.1, -0.05])
     machine = true.with_values(R_s=assumed)
-    observer = AdaptiveObserver.for_machine(machine, sample_time=h, resistance_std=0.5 * assumed)
+    observer = AdaptiveObserver.for_machine(
+        machine,
+        sample_time=h,
+        priors=Priors(resistance=0.5 * assumed),
+    )
     estimate = observer.run(samples.voltage, biased)
     error = np.abs(errors(estimate, samples))
     assert error[estimate.valid].max() < 5
@@ -134,7 +141,11 @@ def test_an_emf_within_the_uncertainty_is_not_valid():
     speed = profile((0, 80), (1.0, 80), (1.3, 800), (2.0, 800))
     samples = driven(machine, H, speed, np.full(len(speed), 8j), noise=0.02)
     assumed = machine.with_values(R_s=0.6)
-    observer = AdaptiveObserver.for_machine(assumed, sample_time=H, resistance_std=0.3)
+    observer = AdaptiveObserver.for_machine(
+        assumed,
+        sample_time=H,
+        priors=Priors(resistance=0.3),
+    )
     estimate = observer.run(samples.voltage, samples.current)
     slow = np.arange(len(speed)) * H < 1.0
     assert not estimate.valid[slow].any()
@@ -162,7 +173,10 @@ def test_offsets_and_asymmetry_are_learnt():
     # The voltage u + g conj(u) acts where u is measured.
     measured = (u - g * np.conj(u)) / (1 - abs(g) ** 2)
     observer = AdaptiveObserver.for_machine(
-        MACHINE, sample_time=H, unknowns=(*BOTH, "asymmetry"), inverter_std=5.0
+        MACHINE,
+        sample_time=H,
+        unknowns=(*BOTH, "asymmetry"),
+        priors=Priors(inverter=5.0),
     )
     state, estimate = observer.resume(
         observer.init(), np.stack([measured.real, measured.imag], axis=1), true.current + offset
@@ -209,7 +223,10 @@ def test_a_known_magnet_flux_identifies_the_resistance_at_steady_state():
 
     def estimate_with(psi_f_std):
         observer = AdaptiveObserver.for_machine(
-            MACHINE, sample_time=H, unknowns=("drift", "resistance"), psi_f_std=psi_f_std
+            MACHINE,
+            sample_time=H,
+            unknowns=("drift", "resistance"),
+            priors=Priors(psi_f=psi_f_std),
         )
         return observer.run(samples.voltage, samples.current)
 
@@ -320,13 +337,15 @@ def test_standard_deviations_are_consistent():
         observer = AdaptiveObserver.for_machine(
             MACHINE,
             sample_time=H,
-            resistance_std=0.2 * MACHINE.R_s,
-            psi_f_std=0.15 * 0.545,
-            inverter_std=2.0,
             current_noise=0.02,
             slow_memory=1000.0,
-            inductance_std=0.0,
-            lag_std=0.0,
+            priors=Priors(
+                resistance=0.2 * MACHINE.R_s,
+                psi_f=0.15 * 0.545,
+                inverter=2.0,
+                inductance=0.0,
+                lag=0.0,
+            ),
         )
         estimate = observer.run(samples.voltage, samples.current)
         for row in (10_000, 13_000, 15_900):
@@ -406,12 +425,19 @@ def test_a_known_inverter_is_compensated():
 def test_unusable_settings():
     with pytest.raises(FluxobsError, match="estimates drift, resistance, inverter, asymmetry"):
         AdaptiveObserver.for_machine(MACHINE, sample_time=H, unknowns=("drift", "current-bias"))
-    with pytest.raises(FluxobsError, match="not among the unknowns"):
+    with pytest.raises(FluxobsError, match="resistance is not an unknown"):
         AdaptiveObserver.for_machine(
-            MACHINE, sample_time=H, unknowns=("drift",), resistance_std=0.1
+            MACHINE,
+            sample_time=H,
+            unknowns=("drift",),
+            priors=Priors(resistance=0.1),
         )
     with pytest.raises(FluxobsError, match="no magnets"):
-        AdaptiveObserver.for_machine(MACHINES["synrm-6kw7"], sample_time=H, psi_f_std=0.1)
+        AdaptiveObserver.for_machine(
+            MACHINES["synrm-6kw7"],
+            sample_time=H,
+            priors=Priors(psi_f=0.1),
+        )
     valid_observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
     for field, value in (
         ("resistance_std", -1.0),

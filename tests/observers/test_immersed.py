@@ -442,7 +442,7 @@ def test_noise_above_the_assumed_one_does_not_restart_for_ever():
         ({"flux_base": 0.0}, "flux_base must be positive"),
         ({"memory": 5e-4}, "memory must be at least ten samples, 0.001 s here"),
         ({"sample_time": np.nan}, "sample_time must be positive"),
-        ({"R": np.eye(3)}, "R must have 2 rows"),
+        ({"R": np.eye(3)}, r"R must have shape \(2, 2\)"),
         *(
             ({name: value}, f"{name} must be finite and not negative, got {value}")
             for name in ("current_noise", "voltage_noise")

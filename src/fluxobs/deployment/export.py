@@ -11,7 +11,7 @@ from typing import Any
 from ..core.validation import number
 from ..errors import FluxobsError
 from ..machines import Machine, as_machine
-from ..observers import AdaptiveObserver, LeastSquaresObserver
+from ..observers import AdaptiveObserver, LeastSquaresObserver, Priors
 from ..observers.unknowns import ALL, AUTO, adapts, read_unknowns
 from .c_source import PRECISIONS
 from .core import make_core
@@ -123,8 +123,8 @@ def export(
     folder = Path(out).resolve()
     check_folder(folder, force)
     if adapts(chosen):
-        stds: Any = {f"{name}_std": std for name, std in (priors or {}).items()}
-        build: Any = partial(AdaptiveObserver.for_machine, unknowns=chosen, **stds)
+        given = Priors(**(priors or {}))
+        build: Any = partial(AdaptiveObserver.for_machine, unknowns=chosen, priors=given)
     else:
         build = LeastSquaresObserver.for_machine
     observers = {

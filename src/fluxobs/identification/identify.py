@@ -29,7 +29,7 @@ from ..machines.model.flux_map import TableMap
 from ..observers.adaptive import INDUCTANCE_SHARE, default_inverter_std, default_resistance_std
 from .fit import UNCERTAIN, ParameterFit, fit
 from .fit_result import ADVICE, UNITS, FittedParameters, Parameter, in_the_file
-from .map_fit import map_of_fit
+from .map_fit import FoundMap, map_of_fit
 from .relations import SATURATION, Cage, Mapped, ResidualFunction, Saturating, linear
 from .report import figure, html_of, lines, write
 from .rotor_resistance import resistance_from_speed
@@ -233,40 +233,125 @@ def identify_logs(
     if len({log.layout.lag for log in logs}) > 1:
         raise FluxobsError("all logs must have the same lag; give --lag")
     others = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
-    source, where = f"{log.path.name}{others}", f"{log.path}{others}"
-    lags = LAGS if "lag" in free else (0,)
-    rotor = any(name in ROTOR for name in free)
-    slip: tuple[float, float] | None = None
+    free, slip = _separate_slip(logs, machine, free)
+    problem = _pose_problem(logs, machine, free, f"{log.path}{others}", slip is not None)
+    data, given, relation = problem.data, problem.given, problem.relation
+    scale = ("psi_f",) if given["psi_f"] > 0 and not isinstance(relation, Cage) else ()
+    before = fit(data, given, scale, relation=relation)
+    solution = _fit_identifiable(problem)
+    flux_map = map_of_fit(relation, solution.fit) if isinstance(relation, Saturating) else None
+    parameters, unidentified = _report_parameters(
+        solution, machine, problem.free, log.layout.lag, flux_map, slip
+    )
+    smoothing = smoothing_current(machine, problem.scales) * _equivalent_knee(solution.fit)
+    identified = with_found(machine, in_the_file(parameters))
+    if flux_map is not None:
+        identified = _replace_map(identified, flux_map.model, problem.scales)
+    if "inverter" in solution.names:
+        identified = identified.with_values(inverter_current=float(f"{smoothing:.6g}"))
+    return Identification(
+        identified,
+        parameters,
+        unidentified,
+        log.layout.lag + solution.fit.values["lag"],
+        before,
+        solution.fit,
+        data,
+        smoothing,
+        sum(map(len, logs)),
+        f"{log.path.name}{others}",
+        flux_map,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Least-squares problem of an identification.
+
+    Attributes
+    ----------
+    free : tuple of str
+        The parameters as the user names them.
+    names : tuple of str
+        The same as the fit names them, without those that `unidentified` excludes.
+    given, held, prior
+        Starting values; standard deviations of parameters; prior means and standard deviations.
+    unidentified : dict of str to str
+        Name of a parameter → why this log cannot identify it.
+    where : str
+        The logs, for errors.
+    """
+
+    data: list[Segment]
+    scales: Scales
+    free: tuple[str, ...]
+    names: tuple[str, ...]
+    given: dict[str, float]
+    held: dict[str, float]
+    prior: dict[str, tuple[float, float]]
+    relation: ResidualFunction
+    unidentified: dict[str, str]
+    where: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """Fit of the identifiable parameters, their names, and why the others are not."""
+
+    fit: ParameterFit
+    names: tuple[str, ...]
+    unidentified: dict[str, str]
+
+
+def _separate_slip(
+    logs: Sequence[Log], machine: RotatingMachine, free: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[float, float] | None]:
+    """Return the free parameters in order, and R_R with its std if measured speeds give it.
+
+    A change of the flux identifies both parameters of a rotor or neither, so both are free.
+    """
     with_speed = [log for log in logs if log.truth is not None and log.truth[0] == "speed_mech"]
     if "R_R" in free and with_speed:
         slip = _weighted_mean([resistance_from_speed(log, machine) for log in with_speed])
-        rotor = False
-        free = tuple(name for name in free if name != "L_M")
-    if rotor:  # a change of the flux identifies both, or neither
-        free = (*(name for name in free if name not in ROTOR), *ROTOR)
+        return tuple(name for name in free if name != "L_M"), slip
+    if any(name in ROTOR for name in free):
+        return (*(name for name in free if name not in ROTOR), *ROTOR), None
+    return tuple(free), None
+
+
+def _pose_problem(
+    logs: Sequence[Log],
+    machine: RotatingMachine,
+    free: tuple[str, ...],
+    where: str,
+    from_slip: bool,
+) -> _Problem:
+    """Choose segments, relation, starting values and priors for these parameters."""
+    rotor = not from_slip and any(name in ROTOR for name in free)
     seconds = MAP_SECONDS if MAP in free else ROTOR_SECONDS if rotor else SECONDS
+    lags = LAGS if "lag" in free else (0,)
     data, scales = _gather_segments(logs, machine, lags, seconds, rotor)
-    given, relation, prior = starting_values(machine, data), _relation(machine), {}
-    names, held = _expand_free(free, machine), _held_stds(machine, scales)
-    if slip is not None:
-        names = tuple(name for name in names if name != "R_R")
-    untold: dict[str, str] = {}
+    given, held = starting_values(machine, data), _held_stds(machine, scales)
+    names = tuple(n for n in _expand_free(free, machine) if not (from_slip and n == "R_R"))
+    relation: ResidualFunction = _relation(machine)
+    prior: dict[str, tuple[float, float]] = {}
+    unidentified: dict[str, str] = {}
     if rotor:
         given |= {name: getattr(machine, name) for name in ROTOR}
-        untold = _check_constant_flux(data)
-        names = tuple(name for name in names if name not in untold)
+        unidentified = _check_constant_flux(data)
+        names = tuple(name for name in names if name not in unidentified)
         if not names:
-            raise FluxobsError(_none_identified(where, free, untold))
+            raise FluxobsError(_none_identified(where, free, unidentified))
     if MAP in free:
         relation = Saturating(_first_model(machine, given))
         prior = _saturation_prior(relation.model, data)
         given |= {name: getattr(relation.model, name) for name in SATURATION}
-    if rotor and not untold:
+    if rotor and not unidentified:
         if len({log.sample_time for log in logs}) > 1:
             raise FluxobsError(
                 f"to identify {' and '.join(ROTOR)}, all logs must have the same sample time"
             )
-        relation = Cage(log.sample_time)
+        relation = Cage(logs[0].sample_time)
         held |= {name: INDUCTANCE_SHARE * given[name] for name in ROTOR}
     elif relation is not linear:
         held = {name: std for name, std in held.items() if not name.startswith("L_")}
@@ -274,65 +359,75 @@ def identify_logs(
         names = (*names, *UNCERTAIN)
         offset = (0.0, offset_std(machine, scales))
         prior = prior | dict(zip(UNCERTAIN, (KNEE, KNEE, offset, offset), strict=True))
+    return _Problem(data, scales, free, names, given, held, prior, relation, unidentified, where)
+
+
+def _fit_identifiable(problem: _Problem) -> _Solution:
+    """Fit, and hold the least identifiable parameter, until all free parameters are identifiable.
+
+    Raises
+    ------
+    FluxobsError
+        No parameter is identifiable.
+    """
+    data, relation, names = problem.data, problem.relation, problem.names
+    given, held = dict(problem.given), dict(problem.held)
+    unidentified = dict(problem.unidentified)
     error = MODEL_ERROR * _typical_flux(data)
-    scale = ("psi_f",) if given["psi_f"] > 0 and not isinstance(relation, Cage) else ()
-    before = fit(data, given, scale, relation=relation)
-    best_lag = _fit_best_lag(data, given, names, relation, prior) if "lag" in names else None
+    best_lag = None
+    if "lag" in names:
+        best_lag = _fit_best_lag(data, given, names, relation, problem.prior)
     while True:
         start, local = given, None
         if best_lag is not None and "lag" in names:
             start, local = _merge_values(given, best_lag, names), best_lag.local
-        after = fit(data, start, names, local, held, relation, prior, error)
-        doubts = _find_doubts(after, scales.voltage) | _find_unseen_inductances(after, data)
-        if "inverter" in names and after.values["inverter"] < 0 and not doubts:
-            value, std = after.values["inverter"], after.std("inverter")
+        result = fit(data, start, names, local, held, relation, problem.prior, error)
+        doubts = _find_doubts(result, problem.scales.voltage)
+        doubts |= _find_unseen_inductances(result, data)
+        if "inverter" in names and result.values["inverter"] < 0 and not doubts:
+            value, std = result.values["inverter"], result.std("inverter")
             doubts = {"inverter": f"{value:.2g} ± {std:.2g} V fits, but no inverter adds voltage"}
             given["inverter"], held["inverter"] = 0.0, std
         if not doubts:
-            break
+            return _Solution(result, names, unidentified)
         doubtful = next(name for name in HELD_FIRST if name in doubts)
-        untold[doubtful] = doubts[doubtful]
-        excluded = (*untold, *(UNCERTAIN if "inverter" in untold else ()))
+        unidentified[doubtful] = doubts[doubtful]
+        excluded = (*unidentified, *(UNCERTAIN if "inverter" in unidentified else ()))
         names = tuple(name for name in names if name not in excluded)
         if not names:
-            raise FluxobsError(_none_identified(where, free, untold))
-    flux_map = map_of_fit(relation, after) if isinstance(relation, Saturating) else None
+            raise FluxobsError(_none_identified(problem.where, problem.free, unidentified))
+
+
+def _report_parameters(
+    solution: _Solution,
+    machine: RotatingMachine,
+    free: Sequence[str],
+    lag: float,
+    flux_map: FoundMap | None,
+    slip: tuple[float, float] | None,
+) -> tuple[list[Parameter], dict[str, str]]:
+    """Return the parameters by the user's names, and why some are not identified."""
     fit_names = {name: INTERNAL.get(name, name) for name in free if name != MAP}
     if slip is not None:
         del fit_names["R_R"]
-    untold = {name: untold[fit_name] for name, fit_name in fit_names.items() if fit_name in untold}
+    values, names, reasons = solution.fit.values, solution.names, solution.unidentified
     parameters = [
         Parameter(
             name,
             UNITS.get(fit_name, "samples"),
-            _given_value(machine, name, log.layout.lag),
-            after.values[fit_name] + (log.layout.lag if name == "lag" else 0.0),
-            after.std(fit_name) if fit_name in names else None,
+            _given_value(machine, name, lag),
+            values[fit_name] + (lag if name == "lag" else 0.0),
+            solution.fit.std(fit_name) if fit_name in names else None,
         )
         for name, fit_name in fit_names.items()
         if flux_map is None or fit_name not in flux_map.names
     ]
     if slip is not None:
         parameters.append(Parameter("R_R", UNITS["R_R"], _given_value(machine, "R_R", 0.0), *slip))
-    smoothing = smoothing_current(machine, scales) * _equivalent_knee(after)
-    identified = with_found(machine, in_the_file(parameters))
-    if flux_map is not None:
-        identified = _replace_map(identified, flux_map.model, scales)
-    if "inverter" in names:
-        identified = identified.with_values(inverter_current=float(f"{smoothing:.6g}"))
-    return Identification(
-        identified,
-        parameters,
-        untold,
-        log.layout.lag + after.values["lag"],
-        before,
-        after,
-        data,
-        smoothing,
-        sum(map(len, logs)),
-        source,
-        flux_map,
-    )
+    unidentified = {
+        name: reasons[fit_name] for name, fit_name in fit_names.items() if fit_name in reasons
+    }
+    return parameters, unidentified
 
 
 def _expand_free(free: Sequence[str], machine: RotatingMachine) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """The observers and the list of their outputs."""
 
-from .adaptive import AdaptiveEstimate, AdaptiveObserver
+from .adaptive import AdaptiveEstimate, AdaptiveObserver, Priors
 from .base import Estimate, LogObserver, Observer, SampleCounts
 from .compiled import CompiledState
 from .immersed import ImmersionEstimate, ImmersionObserver, ImmersionState
@@ -19,6 +19,7 @@ __all__ = [
     "LogObserver",
     "Observer",
     "Output",
+    "Priors",
     "SampleCounts",
     "in_files",
     "outputs",

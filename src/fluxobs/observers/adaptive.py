@@ -16,12 +16,12 @@ from ..core.arrays import Array
 from ..errors import ObserverError
 from ..machines import RotatingMachine, rotating
 from ..machines.model.flux_map import LinearMap
-from ..machines.model.held import Held
 from ..machines.model.inverter import SMOOTHING
 from .base import Estimate
 from .compiled import CompiledObserver, CompiledState, make_core, read_columns
 from .outputs import documented, output
 from .plain import LeastSquaresObserver
+from .requirements import require_not_negative, require_positive
 from .unknowns import ADAPTED
 
 #: When the immersion is projected: see :class:`AdaptiveObserver`.
@@ -50,6 +50,58 @@ NUMBERS = (
     *("inverter_voltage", "inverter_std", "inverter_current", "offset_std", "asymmetry_std"),
     "slow_memory",
 )
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Standard deviations of the values that an adaptive observer assumes; None: the default.
+
+    Parameters
+    ----------
+    psi_f : float, optional
+        Of the magnet flux [Wb]; default psi_f_std of the machine file, otherwise a quarter of the
+        flux. With a magnet flux known to 1 %, the start is faster, and the resistance is
+        identifiable at constant speed and load.
+    resistance : float, optional
+        [Ω]; default R_s_std of the machine file, otherwise half of R_s.
+    inverter : float, optional
+        Of the inverter's voltage loss [V]; default inverter_voltage_std of the machine file,
+        otherwise the larger of a quarter of the rated resistive drop and 2 % of the DC link.
+    asymmetry : float, optional
+        [1]; default 0.01.
+    offset : float, optional
+        Of a current component [A]; default 2 % of the rated current.
+    inductance : float, optional
+        As a share of each inductance [1]; default L_s_std, … of the machine file, otherwise 0.1.
+    lag : float, optional
+        Of the delay of the voltages [s]; default 0.15 samples.
+    """
+
+    psi_f: float | None = None
+    resistance: float | None = None
+    inverter: float | None = None
+    asymmetry: float | None = None
+    offset: float | None = None
+    inductance: float | None = None
+    lag: float | None = None
+
+    def check(self, unknowns: tuple[str, ...], machine: RotatingMachine) -> None:
+        """Raise ObserverError if a value belongs to no unknown, or an unknown does not exist."""
+        for name in unknowns:
+            if name not in ("drift", *ADAPTED):
+                raise ObserverError(
+                    f"unknown {name!r}: this observer estimates drift, {', '.join(ADAPTED)}"
+                )
+        for name in ADAPTED:
+            if getattr(self, name) and name not in unknowns:
+                raise ObserverError(f"prior of {name} is given, but {name} is not an unknown")
+        if self.psi_f and not machine.magnets:
+            raise ObserverError(f"prior of psi_f: a {machine.kind} has no magnets")
+
+
+def _first_given(*candidates: float | None) -> float:
+    """Return the first value that is not None."""
+    return next(value for value in candidates if value is not None)
 
 
 @dataclass(frozen=True)
@@ -212,12 +264,13 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     def __post_init__(self) -> None:
         for name in NUMBERS:
-            value, lower = getattr(self, name), -np.inf if name == "saliency" else 0.0
-            positive = name in ("inverter_current", "slow_memory")
-            if not (np.isfinite(value) and value >= lower and not (positive and value == 0)):
-                requirement = "positive and finite" if positive else "finite and not negative"
-                requirement = "finite" if name == "saliency" else requirement
-                raise ObserverError(f"{name} must be {requirement}, got {value}")
+            value = getattr(self, name)
+            if name in ("inverter_current", "slow_memory"):
+                require_positive(name, value)
+            elif name != "saliency":
+                require_not_negative(name, value)
+            elif not np.isfinite(value):
+                raise ObserverError(f"saliency must be finite, got {value}")
         for name, value, largest in (
             ("psi_f_std", self.psi_f_std, self.psi_f),
             ("resistance_std", self.resistance_std, MAX_RESISTANCE_SHARE * self.resistance),
@@ -280,24 +333,11 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         *,
         sample_time: float,
         unknowns: tuple[str, ...] = ("drift", "resistance", "inverter"),
-        memory: float | None = None,
-        speed_e: float | None = None,
-        psi_f: float | None = None,
-        psi_f_std: float | None = None,
-        resistance_std: float | None = None,
-        inverter_std: float | None = None,
-        asymmetry_std: float | None = None,
-        offset_std: float | None = None,
-        inductance_std: float | None = None,
-        lag_std: float | None = None,
-        rated_current: float | None = None,
-        current_noise: float | None = None,
-        drift_prior: float | None = None,
-        held: Held = "auto",
+        priors: Priors = Priors(),
         dc_link: float | None = None,
         slow_memory: float = SLOW_MEMORY,
         projection: Projection = "start",
-        precision: Literal["double", "single"] = "double",
+        **settings: Any,
     ) -> Self:
         """Return an observer with all settings chosen from the machine.
 
@@ -308,22 +348,16 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         sample_time : float
             [s].
         unknowns : tuple of {"drift", "resistance", "inverter", "asymmetry"}
-            The unknowns. The drift, which current offsets cause, is always estimated.
-        psi_f_std, resistance_std, inverter_std : float, optional
-            Standard deviations of the assumed values [Wb], [Ω], [V]; default: those of the machine
-            file (psi_f_std, R_s_std, inverter_voltage_std), else a quarter of the machine's magnet
-            flux, half of its resistance, and the larger of a quarter of its rated resistive drop
-            and 2 % of the DC link. With a magnet flux known to 1 %, the start is faster and the
-            resistance is identifiable at constant speed and load.
-        asymmetry_std, offset_std, inductance_std, lag_std : float, optional
-            Default: 0.01; 2 % of the rated current [A]; L_s_std, … of the machine file, else 0.1,
-            as a share of each inductance [1]; 0.15 samples [s].
+            The drift, which current offsets cause, is always estimated.
+        priors : Priors
+            Standard deviations of the assumed values; the default chooses all of them.
         dc_link : float, optional
             Voltage of the inverter's DC link [V].
-        memory, speed_e, psi_f, rated_current, current_noise, drift_prior, held, precision
-            See :meth:`LeastSquaresObserver.for_machine`.
         slow_memory, projection
             See the class.
+        settings
+            memory, speed_e, psi_f, rated_current, current_noise, drift_prior, held, precision of
+            the plain observer, see :meth:`LeastSquaresObserver.for_machine`.
 
         Raises
         ------
@@ -331,73 +365,74 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             A required value is missing in both machine and call, this observer does not estimate an
             unknown, or a standard deviation is given for a quantity that is not an unknown.
         """
-        for name in unknowns:
-            if name not in ("drift", *ADAPTED):
-                raise ObserverError(
-                    f"unknown {name!r}: this observer estimates drift, {', '.join(ADAPTED)}"
-                )
-        stds = {
-            "resistance": resistance_std,
-            "inverter": inverter_std,
-            "asymmetry": asymmetry_std,
-        }
-        for name, std in stds.items():
-            if std and name not in unknowns:
-                raise ObserverError(f"{name}_std is given, but {name} is not among the unknowns")
         machine = rotating(machine, "AdaptiveObserver")
-        plain = LeastSquaresObserver.for_machine(
+        plain = LeastSquaresObserver.for_machine(machine, sample_time=sample_time, **settings)
+        rated_current = settings.get("rated_current") or machine.rated_current
+        assert rated_current is not None  # the plain observer requires it
+        return cls.around(
+            plain,
             machine,
-            sample_time=sample_time,
-            memory=memory,
-            speed_e=speed_e,
-            psi_f=psi_f,
-            rated_current=rated_current,
-            current_noise=current_noise,
-            drift_prior=drift_prior,
-            held=held,
-            precision=precision,
+            rated_current,
+            unknowns=unknowns,
+            priors=priors,
+            dc_link=dc_link,
+            slow_memory=slow_memory,
+            projection=projection,
         )
+
+    @classmethod
+    def around(
+        cls,
+        plain: LeastSquaresObserver,
+        machine: RotatingMachine,
+        rated_current: float,
+        *,
+        unknowns: tuple[str, ...] = ("drift", "resistance", "inverter"),
+        priors: Priors = Priors(),
+        dc_link: float | None = None,
+        slow_memory: float = SLOW_MEMORY,
+        projection: Projection = "start",
+    ) -> Self:
+        """Return an observer around a given plain one; parameters as for :meth:`for_machine`.
+
+        Parameters
+        ----------
+        rated_current : float
+            Peak of the phase current [A].
+        """
+        priors.check(unknowns, machine)
         if isinstance(plain.flux_map, LinearMap):
             # The filter models i_d itself, and its guard must not depend on the filter's angle.
             plain = replace(plain, flux_map=None)
-        rated = rated_current if rated_current is not None else machine.rated_current
-        assert rated is not None  # the plain observer requires it
-        if not machine.magnets and psi_f_std:
-            raise ObserverError(f"psi_f_std: a {machine.kind} has no magnets")
         flux = plain.flux_base if machine.magnets else 0.0
-
-        def first_given(*candidates: float | None) -> float:
-            return next(value for value in candidates if value is not None)
-
-        defaults = {
-            "resistance": default_resistance_std(machine),
-            "inverter": default_inverter_std(machine, rated, dc_link or 0.0),
-            "asymmetry": ASYMMETRY_STD,
-        }
-
         inductance_stds = machine.inductance_stds(INDUCTANCE_SHARE)
         L_d_std, L_q_std = (
-            first_given(inductance_std, inductance_stds[name] / L)
+            _first_given(priors.inductance, inductance_stds[name] / L)
             for name, L in zip(machine.inductances, machine.L_dq, strict=True)
         )
-
-        def prior_std(name: str) -> float:
-            return first_given(stds[name], defaults[name]) if name in unknowns else 0.0
-
+        defaults = {
+            "resistance": default_resistance_std(machine),
+            "inverter": default_inverter_std(machine, rated_current, dc_link or 0.0),
+            "asymmetry": ASYMMETRY_STD,
+        }
+        stds = {
+            name: _first_given(getattr(priors, name), default) if name in unknowns else 0.0
+            for name, default in defaults.items()
+        }
         return cls(
             plain=plain,
             saliency=machine.saliency,
             psi_f=flux,
-            psi_f_std=first_given(psi_f_std, machine.magnet_flux_std, PSI_SHARE * flux),
-            resistance_std=prior_std("resistance"),
+            psi_f_std=_first_given(priors.psi_f, machine.magnet_flux_std, PSI_SHARE * flux),
+            resistance_std=stds["resistance"],
             inverter_voltage=machine.inverter_voltage or 0.0,
-            inverter_std=prior_std("inverter"),
-            inverter_current=machine.inverter_current or SMOOTHING * rated,
-            offset_std=first_given(offset_std, OFFSET_SHARE * rated),
-            asymmetry_std=prior_std("asymmetry"),
+            inverter_std=stds["inverter"],
+            inverter_current=machine.inverter_current or SMOOTHING * rated_current,
+            offset_std=_first_given(priors.offset, OFFSET_SHARE * rated_current),
+            asymmetry_std=stds["asymmetry"],
             L_d_std=L_d_std,
             L_q_std=L_q_std,
-            lag_std=first_given(lag_std, LAG_STD * sample_time),
+            lag_std=_first_given(priors.lag, LAG_STD * plain.sample_time),
             slow_memory=slow_memory,
             projection=projection,
         )

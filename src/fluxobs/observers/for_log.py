@@ -13,10 +13,9 @@ from ..logs.formats import BATCH
 from ..logs.log import Log
 from ..logs.scales import Scales, excerpts, measure_scales
 from ..machines import Machine, RotatingMachine
-from ..machines.model.held import Held
 from ..machines.model.immersion import Immersion, Unknown
 from . import AdaptiveObserver, ImmersionObserver, LeastSquaresObserver
-from .adaptive import MAX_RESISTANCE_SHARE
+from .adaptive import MAX_RESISTANCE_SHARE, Priors
 from .immersed import describe_invisible
 from .plain import MODEL_ERROR
 from .unknowns import adapts, check_adapted
@@ -89,7 +88,7 @@ def prepare(
     check_adapted(machine, unknowns, priors)
     if isinstance(machine, RotatingMachine) and adapts(unknowns):
         plain, scales = plain_for(log, machine, memory, scales)
-        adaptive = _adaptive_observer(plain, machine, scales, unknowns, priors, memory, log.held)
+        adaptive = _adaptive_observer(plain, machine, scales, unknowns, priors)
         return Prepared(log, machine, adaptive, scales)
     log = log.less_inverter(machine.inverter)
     if isinstance(machine, RotatingMachine) and unknowns == ("drift",):
@@ -184,8 +183,6 @@ def _adaptive_observer(
     scales: Scales,
     unknowns: tuple[str, ...],
     priors: Mapping[str, float],
-    memory: float | None,
-    held: Held,
 ) -> AdaptiveObserver:
     """Return the adaptive observer around the plain observer chosen for a log."""
     for name, largest, limit in (
@@ -198,21 +195,12 @@ def _adaptive_observer(
                 f"prior {name}={priors[name]:g}: must be a standard deviation in SI units; this is "
                 f"more than {limit}, {largest:.3g}"
             )
-    return AdaptiveObserver.for_machine(
+    return AdaptiveObserver.around(
+        plain,
         machine,
-        sample_time=plain.sample_time,
+        machine.rated_current or scales.current,
         unknowns=unknowns,
-        memory=plain.memory,
-        speed_e=usual_speed(machine, scales, plain.flux_base),
-        psi_f=plain.flux_base,
-        rated_current=machine.rated_current or scales.current,
-        current_noise=plain.current_noise,
-        drift_prior=plain.drift_prior,
-        held=held,
-        psi_f_std=priors.get("psi_f"),
-        resistance_std=priors.get("resistance"),
-        inverter_std=priors.get("inverter"),
-        asymmetry_std=priors.get("asymmetry"),
+        priors=Priors(**priors),
         dc_link=_rounded(np.sqrt(3) * scales.voltage),  # a lower limit of the DC link
     )
 

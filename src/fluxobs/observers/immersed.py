@@ -18,6 +18,13 @@ from ..logs.record import Record
 from ..machines.model.immersion import Immersion
 from .base import SampleCounts
 from .outputs import documented, output
+from .requirements import (
+    finite_matrix,
+    positive_vector,
+    require_memory,
+    require_not_negative,
+    require_positive,
+)
 from .thresholds import CORRELATION_LIMIT, MISSING, NOISE_SHARE_LIMIT
 
 #: A flux is known if its standard deviation is below this share of the flux, per-unit: 3° of the
@@ -185,46 +192,33 @@ class ImmersionObserver:
         if "current-bias" in self.immersion.unknowns:
             shapes["current_bias_prior"] = n
         for name, length in shapes.items():
-            value = np.array(np.broadcast_to(getattr(self, name), (length,)), dtype=float)
-            if not (np.isfinite(value) & (value > 0)).all():
-                raise ObserverError(f"{name} must be positive and finite, got {value}")
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
-        for name in ("R", "B"):
-            matrix = np.array(getattr(self, name), dtype=float)
-            if matrix.ndim != 2 or len(matrix) != n or (name == "R" and matrix.shape != (n, n)):
-                raise ObserverError(f"{name} must have {n} rows, got shape {matrix.shape}")
-            if not np.isfinite(matrix).all():
-                raise ObserverError(f"{name} must be finite, got {matrix.tolist()}")
+            object.__setattr__(self, name, positive_vector(name, getattr(self, name), length))
+        for name, columns in (("R", n), ("B", None)):
+            matrix = finite_matrix(name, getattr(self, name), (n, columns))
             object.__setattr__(self, name, matrix)
-        if not (np.isfinite(self.sample_time) and self.sample_time > 0):
-            raise ObserverError(f"sample_time must be positive and finite, got {self.sample_time}")
-        if not self.memory >= 10 * self.sample_time:
-            raise ObserverError(
-                f"memory must be at least ten samples, {10 * self.sample_time:g} s here, "
-                f"got {self.memory:g} s"
-            )
+        require_positive("sample_time", self.sample_time)
+        require_memory(self.memory, self.sample_time)
         if self.immersion.R is not None and not np.array_equal(self.immersion.R, self.R):
             raise ObserverError("R differs from R of the immersion")
-        noise = self.current_noise
-        if noise is None:
-            slopes = [
-                np.linalg.norm(self.flux_base @ relation.Q2)
-                for relation in self.immersion.relations
-            ]
-            shares = [
-                noise_of_relation / slope
-                for noise_of_relation, slope in zip(self.constraint_noise, slopes, strict=True)
-                if slope > 0
-            ]
-            noise = float(min(shares, default=0.0))
-            object.__setattr__(self, "current_noise", noise)
+        if self.current_noise is None:
+            object.__setattr__(self, "current_noise", self._default_current_noise())
         for name in ("current_noise", "voltage_noise"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ObserverError(
-                    f"{name} must be finite and not negative, got {getattr(self, name)}"
-                )
+            require_not_negative(name, getattr(self, name))
         object.__setattr__(self, "_prior", self._prior_std())
+        self._prepare_noise()
+
+    def _default_current_noise(self) -> float:
+        """Return the current noise that causes `constraint_noise` [A]."""
+        slopes = [
+            np.linalg.norm(self.flux_base @ relation.Q2) for relation in self.immersion.relations
+        ]
+        noises = zip(self.constraint_noise, slopes, strict=True)
+        return float(min((noise / slope for noise, slope in noises if slope > 0), default=0.0))
+
+    def _prepare_noise(self) -> None:
+        """Prepare the noise of the volt-seconds, and the information that current noise adds."""
+        noise = self.current_noise
+        assert noise is not None  # __post_init__ has chosen it
         h, gain = self.sample_time, self.immersion.transition_gain()
         noise_gain = h * np.hstack([self.voltage_noise * self.B, noise * self.R])
         # ∂F⁻¹ along each direction of v's noise.

@@ -20,6 +20,12 @@ from ..machines.model.flux_map import FluxMap
 from ..machines.model.held import Held, kink_weights
 from .base import Estimate
 from .compiled import CompiledObserver, CompiledState, make_core, read_columns
+from .requirements import (
+    finite_matrix,
+    require_memory,
+    require_not_negative,
+    require_positive,
+)
 
 #: Usual memory [s]. One value suited all records tried, 75 to 5000 rad/s electrical. Within a much
 #: shorter memory, slow machines turn too little; within a much longer one, the quantities assumed
@@ -133,27 +139,11 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         if self.precision not in ("double", "single"):
             raise ObserverError(f'precision must be "double" or "single", got {self.precision!r}')
         for name in ("R", "B"):
-            matrix = np.array(getattr(self, name), dtype=float)
-            if matrix.shape != (2, 2):
-                raise ObserverError(f"{name} must have shape (2, 2), got {matrix.shape}")
-            matrix.setflags(write=False)
-            object.__setattr__(self, name, matrix)
-        if not 0 <= self.held < np.inf:
-            raise ObserverError(f"held = R h/L must be finite and not negative, got {self.held}")
+            object.__setattr__(self, name, finite_matrix(name, getattr(self, name), (2, 2)))
+        require_not_negative("held = R h/L", self.held)
         for name in POSITIVE:
-            value = number(name, getattr(self, name), "SI")
-            if not (np.isfinite(value) and value > 0):
-                raise ObserverError(f"{name} must be positive and finite, got {value}")
-        if self.memory < 10 * self.sample_time:
-            raise ObserverError(
-                f"memory must be at least ten samples, {10 * self.sample_time:g} s here, "
-                f"got {self.memory:g} s"
-            )
-        if self.memory > 1e6 * self.sample_time:
-            raise ObserverError(
-                f"memory must be at most a million samples, {1e6 * self.sample_time:g} s here, "
-                f"got {self.memory:g} s"
-            )
+            require_positive(name, number(name, getattr(self, name), "SI"))
+        require_memory(self.memory, self.sample_time)
         object.__setattr__(self, "_core", self._make_core())
 
     def configuration(self) -> dict[str, Any]:
