@@ -38,11 +38,16 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
+    "sphinxcontrib.bibtex",
     "from_code",
+    "cite_dois",
 ]
 exclude_patterns = ["_ext"]
 smartquotes = False  # --lag is an option
 templates_path: list[str] = []
+
+bibtex_bibfiles = ["references.bib"]
+bibtex_reference_style = "author_year"
 
 myst_heading_anchors = 3
 myst_enable_extensions = ["deflist", "colon_fence", "fieldlist"]
