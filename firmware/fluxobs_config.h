@@ -7,13 +7,7 @@
 #ifndef FLUXOBS_CONFIG_H
 #define FLUXOBS_CONFIG_H
 
-#include "fluxobs_real.h"
-
-#if FO_ADAPTIVE
-#include "fluxobs_adaptive.h"
-#else
 #include "fluxobs.h"
-#endif
 
 #ifdef __cplusplus
 extern "C" {

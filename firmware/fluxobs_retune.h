@@ -9,13 +9,7 @@
 #ifndef FLUXOBS_RETUNE_H
 #define FLUXOBS_RETUNE_H
 
-#include "fluxobs_real.h"
-
-#if FO_ADAPTIVE
-#include "fluxobs_adaptive.h"
-#else
 #include "fluxobs.h"
-#endif
 
 #ifdef __cplusplus
 extern "C" {

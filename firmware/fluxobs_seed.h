@@ -6,13 +6,7 @@
 #ifndef FLUXOBS_SEED_H
 #define FLUXOBS_SEED_H
 
-#include "fluxobs_real.h"
-
-#if FO_ADAPTIVE
-#include "fluxobs_adaptive.h"
-#else
 #include "fluxobs.h"
-#endif
 
 #ifdef __cplusplus
 extern "C" {

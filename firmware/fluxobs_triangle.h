@@ -6,7 +6,7 @@
 #ifndef FLUXOBS_TRIANGLE_H
 #define FLUXOBS_TRIANGLE_H
 
-#include "fluxobs.h"
+#include "fluxobs_real.h"
 
 /* Elements of the strict upper triangle of order n, and those before row i. */
 #define FO_PACKED(n) ((n) * ((n) - 1) / 2)
