@@ -1,4 +1,4 @@
-"""Write the bill of materials of a wheel, its third-party components (CycloneDX 1.6, PEP 770).
+"""List the third-party components of a wheel: bill of materials, CycloneDX 1.6, PEP 770.
 
     python packaging/sbom.py --nanobind 3.1.0 --robin-map INCLUDE_FOLDER --out fluxobs.cdx.json
 

@@ -28,7 +28,7 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 
 PAGES = ("theory", "errata", "constraints")
-#: First sentences of objects that cannot have a docstring.
+#: Descriptions of objects that cannot have a docstring.
 CONSTANTS = {
     "KINDS": "Every kind of machine, by its name in a machine file.",
     "LIBRARY": "Every machine of the library, with typical parameters.",
@@ -180,7 +180,7 @@ class Options(Markdown):
 
 
 def _value(p: Any) -> str:
-    """Return the placeholder of an option's value; typer's version decides where its type is."""
+    """Return the placeholder of an option's value, for the type attributes of any typer version."""
     kind: Any = getattr(getattr(p, "type", None), "name", "")
     kind = getattr(getattr(p, "type_descriptor", None), "annotation", kind)
     word = str(getattr(kind, "__name__", kind)).lower()
