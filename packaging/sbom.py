@@ -1,9 +1,9 @@
-"""The bill of materials of a wheel, CycloneDX 1.6: what of others is inside of it (PEP 770).
+"""List the third-party components of a wheel: bill of materials, CycloneDX 1.6, PEP 770.
 
     python packaging/sbom.py --nanobind 3.1.0 --robin-map INCLUDE_FOLDER --out fluxobs.cdx.json
 
-CMake calls it when a wheel is built. It needs nothing but Python. Nothing in it depends on time or
-place, so that equal builds are equal.
+CMake runs this script when a wheel is built. The script needs only Python. Its output does not
+depend on time or place, so that builds are reproducible.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-#: What of others is in page and reports; `make page` writes it beside them.
+#: Third-party components of the page and the reports. `make page` writes this file.
 PAGE = ROOT / "src" / "fluxobs" / "page" / "libraries.json"
 
 
 def nanobind(version: str) -> dict[str, Any]:
-    """The library that binds the C sources to Python: a part of each compiled module."""
+    """Return nanobind, the library that makes C callable from Python; each module contains it."""
     try:
         files = metadata.files("nanobind") or []
         texts = [path.read_text("utf-8") for path in files if path.name == "LICENSE"]
-    except metadata.PackageNotFoundError:  # a system's package, without its metadata
+    except metadata.PackageNotFoundError:  # installed by the system without metadata
         texts = []
     return component("nanobind", version, "pypi", "BSD-3-Clause", texts[0] if texts else None)
 
 
 def robin_map(includes: Path) -> dict[str, Any]:
-    """The hash table of nanobind; its version and its licence are in its headers."""
+    """Return nanobind's hash table; its headers contain its version and licence."""
     text = (includes / "tsl" / "robin_growth_policy.h").read_text("utf-8")
     version = ".".join(
         re.findall(r"^#define TSL_RH_VERSION_(?:MAJOR|MINOR|PATCH) (\d+)", text, re.MULTILINE)
@@ -46,7 +46,7 @@ def robin_map(includes: Path) -> dict[str, Any]:
 def component(
     name: str, version: str | None, home: str, licence: str, text: str | None = None
 ) -> dict[str, Any]:
-    """A library in the words of CycloneDX; `home` is the type of its package URL."""
+    """Return a library as a CycloneDX component; `home` is the type of its package URL."""
     purl = f"pkg:{home}/{name}" + (f"@{version}" if version else "")
     said: dict[str, Any] = {"expression": licence}
     if " " not in licence:
@@ -62,7 +62,7 @@ def component(
 
 
 def bill(components: list[dict[str, Any]]) -> dict[str, Any]:
-    """The document."""
+    """Return the CycloneDX document."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     own = component(project["name"], project["version"], "pypi", project["license"])
     components = sorted(components, key=lambda one: one["bom-ref"])
@@ -81,8 +81,10 @@ def bill(components: list[dict[str, Any]]) -> dict[str, Any]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--nanobind", required=True, help="its version")
-    parser.add_argument("--robin-map", required=True, type=Path, help="folder of its headers")
+    parser.add_argument("--nanobind", required=True, help="version of nanobind")
+    parser.add_argument(
+        "--robin-map", required=True, type=Path, help="folder with the headers of robin-map"
+    )
     parser.add_argument("--out", required=True, type=Path)
     options = parser.parse_args()
     inside = [nanobind(options.nanobind), robin_map(options.robin_map)]

@@ -1,7 +1,7 @@
-"""Directives whose content comes from the code: what commands print, outputs, options, the API.
+"""Sphinx directives whose content comes from the code: printed texts, outputs, options, API.
 
-``{run}`` runs shell commands in a folder of the page and shows what they print; a command that
-fails stops the build. ``{outputs}``, ``{options}`` and ``{api}`` write reference pages.
+``{run}`` runs shell commands in a folder of the page and shows their output; a failing command
+stops the build. ``{outputs}``, ``{options}`` and ``{api}`` write reference pages.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 
 PAGES = ("theory", "errata", "constraints")
-#: What has no docstring of its own.
+#: Descriptions of objects that cannot have a docstring.
 CONSTANTS = {
-    "KINDS": "Every kind of machine, by its word in a machine file.",
+    "KINDS": "Every kind of machine, by its name in a machine file.",
     "LIBRARY": "Every machine of the library, with typical parameters.",
     "RATINGS": "Speed, torque, inertia, DC link and sample time of the shipped machines' drives.",
-    "Source": "What :py:func:`fluxobs.read_log` takes.",
+    "Source": "Type of the logs that :py:func:`fluxobs.read_log` accepts.",
 }
 
 _kept: dict[str, list[str]] = {}
@@ -41,7 +41,7 @@ _folders: dict[str, tempfile.TemporaryDirectory[str]] = {}
 
 
 def folder_of(page: str) -> Path:
-    """Where the commands of a page run: with the sample logs and machine files in it."""
+    """Return the folder in which a page's commands run; it holds sample logs and machine files."""
     if page not in _folders:
         _folders[page] = tempfile.TemporaryDirectory(prefix="fluxobs-docs-")
         write_samples(Path(_folders[page].name))
@@ -49,13 +49,13 @@ def folder_of(page: str) -> Path:
 
 
 class Run(SphinxDirective):
-    """Shell commands, a line each (a trailing \\ continues), and what they print."""
+    """Run shell commands, one per line (a trailing \\ continues), and show their output."""
 
     has_content = True
     option_spec: ClassVar[dict[str, Any]] = {
-        "quiet": directives.flag,  # do not show what they print
-        "exit": directives.nonnegative_int,  # exit code of the last one
-        "lines": directives.nonnegative_int,  # show so many lines of each only
+        "quiet": directives.flag,  # hide the output
+        "exit": directives.nonnegative_int,  # expected exit code of the last command
+        "lines": directives.nonnegative_int,  # show only the first lines of each output
     }
 
     def run(self) -> list[nodes.Node]:
@@ -95,7 +95,7 @@ class Markdown(SphinxDirective):
 
 
 class Outputs(Markdown):
-    """The table of what observers return."""
+    """Write the table of the observers' outputs."""
 
     def run(self) -> list[nodes.Node]:
         from fluxobs.observers import AdaptiveEstimate, Estimate, ImmersionEstimate
@@ -109,12 +109,12 @@ class Outputs(Markdown):
 
 
 class Quantities(Markdown):
-    """The table of what can vary in a campaign."""
+    """Write the table of the quantities that a campaign can vary."""
 
     def run(self) -> list[nodes.Node]:
         from fluxobs.campaigns.quantities import PARAMETERS, QUANTITIES
 
-        lines = ["| quantity | of a drive that is not varied | meaning |", "|---|---|---|"]
+        lines = ["| quantity | value if not varied | meaning |", "|---|---|---|"]
         for name, one in QUANTITIES.items():
             neutral = f"{one.neutral:g} {one.unit}".rstrip()
             lines.append(f"| `{name}` | {neutral} | {one.about} |")
@@ -124,22 +124,24 @@ class Quantities(Markdown):
 
 
 class Measures(Markdown):
-    """The table of a campaign's columns."""
+    """Write the table of a campaign's columns."""
 
     def run(self) -> list[nodes.Node]:
         from fluxobs.campaigns.columns import LOOP_MEASURES, MEASURES
 
         lines = ["| column | meaning |", "|---|---|"]
-        lines.append("| `number`, `machine`, `observer` | the scenario, and who observed |")
-        lines.append("| what varies | as drawn |")
+        lines.append(
+            "| `number`, `machine`, `observer` | the scenario, its machine and its observer |"
+        )
+        lines.append("| varied quantities | the drawn values |")
         lines += [f"| `{name}` | {about} |" for name, about in MEASURES.items()]
         lines += [f"| `{name}` | in the loop: {about} |" for name, about in LOOP_MEASURES.items()]
-        lines.append("| `failed` | why it could not be simulated |")
+        lines.append("| `failed` | reason why the scenario could not be simulated |")
         return self.parsed(lines)
 
 
 class Options(Markdown):
-    """A command of the program: its help, as the program itself says it."""
+    """Write the help of a command as the program prints it."""
 
     required_arguments = 1
     optional_arguments = 1  # a command of a group has two words
@@ -178,7 +180,7 @@ class Options(Markdown):
 
 
 def _value(p: Any) -> str:
-    """What stands for an option's value; where its type is depends on typer's version."""
+    """Return the placeholder of an option's value, for the type attributes of any typer version."""
     kind: Any = getattr(getattr(p, "type", None), "name", "")
     kind = getattr(getattr(p, "type_descriptor", None), "annotation", kind)
     word = str(getattr(kind, "__name__", kind)).lower()
@@ -187,10 +189,10 @@ def _value(p: Any) -> str:
 
 
 class Api(SphinxDirective):
-    """Everything in ``__all__`` of a module; what the top level exports is only linked to."""
+    """Document all names in ``__all__`` of a module; names of the top level become links."""
 
     required_arguments = 1
-    optional_arguments = 20  # names, where not all of them
+    optional_arguments = 20  # the names, if not all
 
     def run(self) -> list[nodes.Node]:
         import fluxobs
@@ -217,7 +219,7 @@ class Api(SphinxDirective):
 
 
 def _order(value: Any) -> int:
-    """Functions first, then classes, then errors, then the rest."""
+    """Return the sort key: functions first, then classes, then errors, then other objects."""
     if inspect.isfunction(value):
         return 0
     if inspect.isclass(value):
@@ -226,7 +228,7 @@ def _order(value: Any) -> int:
 
 
 def _rst(directive: SphinxDirective, lines: list[str]) -> list[nodes.Node]:
-    """reStructuredText parsed inside a Markdown page."""
+    """Parse reStructuredText inside a Markdown page."""
     settings = directive.state.document.settings
     document = new_document(directive.state.document["source"], settings)
     document.reporter = directive.state.document.reporter
@@ -256,14 +258,14 @@ def _body(module: str, name: str, value: Any) -> list[str]:
 
 
 def _skip(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
-    """Pydantic's and equinox's own machinery is no part of the API."""
+    """Omit the internal names of pydantic and equinox."""
     if name.startswith("model_") or name in ("parameter_names", "tree_flatten", "tree_unflatten"):
         return True
     return None
 
 
 def _escaped(text: str) -> str:
-    """|x| is a length and (*batch, 2) a shape, no markup; ``code`` stays as it is."""
+    """Escape |x| (a length) and (*batch, 2) (a shape), which are no markup; keep ``code``."""
     parts = re.split(r"(``.*?``)", text)
     return "".join(
         part if k % 2 else re.sub(r"(?<!\\)\||(?<=\()\*(?=\w)", r"\\\g<0>", part)
@@ -272,9 +274,9 @@ def _escaped(text: str) -> str:
 
 
 def _before(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Docstrings are written for people: what only looks like markup is escaped."""
+    """Escape text in docstrings that only looks like markup."""
     if what in ("property", "attribute"):
-        # A colon in its first sentence is no type: kept from napoleon.
+        # napoleon would read a colon in the first sentence as a type.
         _kept[name] = [_escaped(line) for line in lines]
         lines[:] = []
         return
@@ -287,7 +289,7 @@ def _before(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: li
 
 
 def _after(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
-    """Types of attributes are words too: they stand in the text, not as something to look up."""
+    """Write the types of attributes as text, not as references."""
     if name in _kept:
         lines[:] = _kept.pop(name)
     types = {}
@@ -302,9 +304,9 @@ def _after(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: lis
 
 
 def _find(app: Sphinx, env: Any, node: Any, content: nodes.Node) -> nodes.Node | None:
-    """A reference by a short name, or by where a thing is defined rather than exported.
+    """Resolve a reference by a short name, or by the place of a definition instead of its export.
 
-    What exists in the package but has no place in these pages is named without a link.
+    A name that exists in the package but not in these pages becomes text without a link.
     """
     if node.get("refdomain") != "py":
         return None
@@ -329,7 +331,7 @@ def _find(app: Sphinx, env: Any, node: Any, content: nodes.Node) -> nodes.Node |
 
 
 def _dashes(app: Sphinx, doctree: nodes.document) -> None:
-    """Between a parameter and what it is stands a dash, not two hyphens."""
+    """Write a dash, not two hyphens, between a parameter and its description."""
     for text in list(doctree.findall(nodes.Text)):
         if text == " -- ":
             text.parent.replace(text, nodes.Text(" – "))

@@ -1,4 +1,4 @@
-"""The shipped log in the shapes that real logs have, for the commands on the pages."""
+"""Write the shipped log in the layouts of real logs, for the commands on the pages."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _csv(path: Path, delimiter: str = ",", comma: bool = False, **columns: np.nd
 
 
 def write_samples(folder: Path) -> None:
-    """log.csv and motor.toml of the README, a wrong R_s, and the log in other shapes."""
+    """Write log.csv and motor.toml of the README, a file with a wrong R_s, and other layouts."""
     text = LOG.read_text(encoding="utf-8")
     (folder / "log.csv").write_text(text, encoding="utf-8")
     (folder / "motor.toml").write_text(MOTOR, encoding="utf-8")
@@ -86,7 +86,7 @@ def write_samples(folder: Path) -> None:
         i_a=ia,
         i_b=ib,
     )
-    # A controller in rotor coordinates: a voltage is turned by the angle of the interval's middle.
+    # A dq controller transforms the voltage with the angle in the middle of its interval.
     after = np.append(np.unwrap(theta)[1:], 2 * np.unwrap(theta)[-1] - np.unwrap(theta)[-2])
     middle = (np.unwrap(theta) + after) / 2
     dq, idq = u * np.exp(-1j * middle), i * np.exp(-1j * theta)
