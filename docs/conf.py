@@ -22,7 +22,7 @@ os.environ |= {
     "JAX_COMPILATION_CACHE_DIR": str(cache),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.3",
 }
-# Kernels of the notebooks start without a remark on how they are reached.
+# The kernels of the notebooks log nothing at their start.
 profile = Path(tempfile.mkdtemp(prefix="fluxobs-docs-")) / "profile_default"
 profile.mkdir()
 (profile / "ipython_kernel_config.py").write_text("get_config().IPKernelApp.log_level = 40\n")
@@ -77,6 +77,6 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 autodoc_preserve_defaults = True
 
-# Every reference has to lead somewhere; base classes of others' packages are only named.
+# Each reference must have a target; base classes of other packages are only named.
 nitpicky = True
 nitpick_ignore_regex = [("py:class", r"(equinox|pydantic|numpy|jax|typing)\b.*|Generic|Found")]

@@ -47,6 +47,9 @@ def split(text: str) -> list[str]:
 
 def read_markdown(text: str) -> Iterator[tuple[int, str, str]]:
     """Yield the paragraphs outside code, each with its line and kind."""
+    text = re.sub(
+        r"\A---\n.*?^---$", lambda head: "\n" * head[0].count("\n"), text, flags=re.M | re.S
+    )
     text = re.sub(r"^```.*?^```$", lambda code: "\n" * code[0].count("\n"), text, flags=re.M | re.S)
     for paragraph in re.finditer(r"(?:^(?! {4}).*\S.*\n)+", text + "\n", flags=re.MULTILINE):
         yield text[: paragraph.start()].count("\n") + 1, "docs", paragraph[0]

@@ -25,11 +25,11 @@ from replay import BUILDS, KINDS, MACHINE, MEMORY, SAMPLE_TIME, STEPS, compile_f
 
 import fluxobs
 
-#: Part → its functions, and what it buys.
+#: Part → its functions, and its purpose.
 PARTS = {
     "rotations": (
         ("rotate_row", "add_row", "reinject_prior", "prior_information"),
-        "takes in the measurement and, every other sample, a row of the prior",
+        "measurement update and, every other sample, re-injection of a prior row",
     ),
     "transition": (("predict",), "carries the information over the interval"),
     "solution": (("solve",), "flux and drift of every sample"),
@@ -170,7 +170,7 @@ def main() -> int:
         f"| {buys} |"
         for part, (names, buys) in PARTS.items()
     ]
-    table = "\n".join(["| | instructions | bytes | what it buys |", "|---|---|---|---|", *rows])
+    table = "\n".join(["| | instructions | bytes | purpose |", "|---|---|---|---|", *rows])
     print(table)
     if options.update:
         in_docs.write("parts", table)
