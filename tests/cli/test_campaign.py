@@ -125,7 +125,7 @@ def test_a_scenario_is_rerun(done, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["campaign", "{folder}/trial.toml"], "--out FOLDER is missing"),
+        (["campaign", "{folder}/trial.toml"], "--out is missing"),
         (["campaign", "{folder}/trial.toml", "--rerun", "3"], "give the folder of the campaign"),
         (["campaign", "{folder}/out", "--rerun", "24"], "no scenario 24; give 0 to 23"),
         (["campaign", "{folder}/out", "--rerun", "2", "--observer", "ekf"], "plain, adaptive"),
@@ -211,7 +211,7 @@ def test_a_campaign_that_cannot_be_repeated_can_be_read(copy, tmp_path):
     path.write_text(json.dumps(facts))
     run = fluxobs("campaign", copy, folder=tmp_path)
     assert run.returncode == 0
-    assert "Warning: its rows cannot be repeated: servo-400w changed." in run.stderr
+    assert "Warning: the campaign's rows cannot be repeated: servo-400w changed." in run.stderr
     run = fluxobs("campaign", copy, "--rerun", "3", folder=tmp_path)
     assert run.returncode == 2
     assert "cannot be repeated: servo-400w changed" in run.stderr
@@ -256,6 +256,6 @@ def test_ctrl_c_keeps_finished_scenarios(tmp_path):
     interrupted = time.monotonic()
     _, stderr = running.communicate(timeout=30)
     assert running.returncode == 130
-    assert "the same command resumes" in stderr
+    assert "run the same command to resume" in stderr
     assert time.monotonic() - interrupted < 5
     assert list(tmp_path.glob("o/rows/*.parquet"))

@@ -333,7 +333,7 @@ def test_the_command(logs, tmp_path):
     )
     assert json.loads(process.stdout)["logs"] == 3
     for arguments, message in (
-        (["logs"], "--out FOLDER is missing"),
+        (["logs"], "--out is missing"),
         (["logs", "--out", "x.parquet"], "for many logs, give a folder"),
         (["logs", "--out", "p", "--report", "r.html"], "--report works only with one log"),
         (["logs/a/run_2024-05-01.csv", "--retry", "failed"], "--retry works only with many logs"),

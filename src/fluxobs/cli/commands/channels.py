@@ -23,7 +23,7 @@ def channels(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the columns of a log: unit, rate, range, first values, and the channel each is taken as.
+    """List the columns of a log with their unit, rate, range, first values and channel.
 
     Example: fluxobs channels LOG.csv
     """
