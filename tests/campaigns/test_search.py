@@ -147,7 +147,7 @@ def test_interval_of_a_rare_failure(rare, low, high):
 @pytest.mark.parametrize(("effective", "unreliable"), [(9.9, True), (10.0, False)])
 def test_a_rare_failure_in_words(effective, unreliable):
     text = str(Rare(0.0123, 0.001, 50, 100, effective))
-    start = "0.012 (0.01 to 0.014), from 50 failures, effectively 10, among 100 scenarios"
+    start = "0.012 (0.01 to 0.014), from 50 failures (effective number 10) among 100 scenarios"
     assert text.startswith(start)
     assert text.endswith("increase --budget") == unreliable
 

@@ -162,7 +162,7 @@ def test_a_limit_of_good_from_both_sides(field, column, limit, best, worst):
         ({"valid": 0.9}, "valid on 90 % of the rows"),
         ({"first_valid": 0.25}, "valid after 0.25 s"),
         ({"losses": 3}, "lost 3 times at most"),
-        ({}, "ever valid"),
+        ({}, "valid at least once"),
     ],
 )
 def test_each_limit_in_words(limits, text):
