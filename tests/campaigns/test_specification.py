@@ -377,7 +377,10 @@ def test_observers_with_all_settings():
     [
         ({"scenarios": 10_000_001}, "scenarios: input should be less than or equal to 10000000"),
         ({"seed": -1}, "seed: input should be greater than or equal to 0"),
-        ({"machines": ["servo-400w", "servo-400w"]}, "machines: each machine may be given only once"),
+        (
+            {"machines": ["servo-400w", "servo-400w"]},
+            "machines: each machine may be given only once",
+        ),
         ({"limits": [{"good": 1.1}]}, "good: input should be less than or equal to 1"),
         ({"limits": [{"good": 0.9, "machine": "servo"}]}, "limits: no machine 'servo'"),
         ({"good": {"losses": -1}}, "losses: input should be greater than or equal to 0"),

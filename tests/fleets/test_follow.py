@@ -103,7 +103,7 @@ def test_heat_ageing_and_another_motor():
     assert "2024-05-06" in jump
     trend = followed["unit4", "psi_f"].remarks[0]
     assert re.match(r"magnet flux drifts by -65\d µWb ± \d", trend)
-    assert "reaches its limit in " in trend
+    assert "will reach the limit in " in trend
     other = followed["unit7", "resistance"]
     assert other.crossed
     assert "is outside 300 mΩ to 450 mΩ" in other.remarks[0]
@@ -151,7 +151,7 @@ def test_the_command(tmp_path: Path):
     assert "no columns" in page
     run = fluxobs("fleet", tmp_path, "--limit", "inverter_voltage=0..2", folder=tmp_path)
     assert run.returncode == 1
-    assert "Limit on inverter's voltage loss: no log identifies it." in run.stdout
+    assert "Limit on inverter's voltage loss: no log identifies this parameter." in run.stdout
     run = fluxobs("fleet", tmp_path, "--json", folder=tmp_path)
     assert run.returncode == 0
     assert len(json.loads(run.stdout)["followed"]) == 16

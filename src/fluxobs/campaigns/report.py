@@ -157,7 +157,8 @@ def never_valid(dataset: Dataset, rows: pl.DataFrame) -> list[str]:
                 where = f" on {specification.called(machine)}" if many_machines else ""
                 sentences.append(
                     f"{table.name}{where} is never valid in {_count(count, 'scenario')}; median, "
-                    f"99 % and worst exclude {'it' if count == 1 else 'them'}."
+                    f"99 % and worst errors exclude "
+                    f"{'this scenario' if count == 1 else 'these scenarios'}."
                 )
     return sentences
 
