@@ -1,4 +1,4 @@
-"""Specifications: their checks, and the scenarios drawn from them."""
+"""Checks of specifications, and draws of scenarios from specifications."""
 
 from __future__ import annotations
 
@@ -299,7 +299,7 @@ def test_the_factor_gives_the_correlations():
 
 
 def test_correlated_quantities_of_a_drive():
-    """Normal scores z of a point; b = r a + √(1 − r²) z."""
+    """With normal scores z of a point, b = r a + √(1 − r²) z."""
     vary = {"L": {"normal": [0, 1]}, "R": {"normal": [0, 1]}, "theta_e": 0.0}
     s = specification(vary=vary, correlation={"R, L": 0.6})
     values = at_point(s, stats.norm.cdf([0.5, 2.0]))

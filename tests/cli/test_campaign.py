@@ -1,4 +1,4 @@
-"""`fluxobs campaign`: from a specification to a report, and the rerun of a scenario."""
+"""`fluxobs campaign` makes a report from a specification, and repeats a scenario."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ observer = "adaptive"
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a campaign that met its limit."""
+    """Return the folder of a campaign that met its limit."""
     folder = tmp_path_factory.mktemp("campaign")
     (folder / "trial.toml").write_text(SPECIFICATION)
     run = fluxobs(
@@ -171,7 +171,7 @@ def test_unusable_options_are_named(done, arguments, message):
 
 @pytest.fixture
 def copy(done, tmp_path) -> Path:
-    """Copy of the finished campaign, to be damaged."""
+    """Return a copy of the finished campaign, which a test may damage."""
     shutil.copytree(done / "out", tmp_path / "out")
     return tmp_path / "out"
 

@@ -1,4 +1,4 @@
-"""Remarks on the drives of a fleet, against closed forms; limits from both sides."""
+"""Remarks on the drives of a fleet equal closed forms; limits are tested on both sides."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LEVEL = Course((Segment(0, 4, 1.0, 0.1),), 0.0, 0.0, np.inf)
 
 
 def followed(drive="a", name="resistance", course=LEVEL, **fields) -> Followed:
-    """One parameter over four logs, a day apart."""
+    """Return one parameter over four daily logs."""
     times = [START + timedelta(days=k) for k in range(4)]
     logs = [f"{drive}/{k}.csv" for k in range(4)]
     defaults = {"limits": None, "remarks": (), "crossed": False}
@@ -125,7 +125,7 @@ T = np.array([when.timestamp() for when in followed().times])
 
 
 def drifting(slope: float, std: float = 1e-12) -> Course:
-    """A trend per year through 1.0, in the middle of four days."""
+    """Return a course with this trend per year that passes 1.0 in the middle of four days."""
     return Course((Segment(0, 4, 1.0, 0.1),), 0.0, slope / YEAR, std)
 
 
@@ -153,13 +153,13 @@ def test_a_trend_in_words():
 def test_when_a_trend_reaches_its_limit(slope, bounds, month):
     (text,) = _trend_remarks("psi_f", T, drifting(slope), bounds)
     if month is None:
-        assert "reaches" not in text
+        assert "reach" not in text
     else:
         assert text.endswith(f"per year; it will reach the limit in {month}")
 
 
 def test_the_trend_is_extrapolated_from_the_end_of_the_last_segment():
-    """Days 0 to 9; the last six have the trend, 0.1 per day around 1.0: 1.25 on the last day."""
+    """The last six of ten days have a trend of 0.1 per day around 1.0: 1.25 on the last day."""
     t = START.timestamp() + 86400.0 * np.arange(10)
     slope = 0.1 / 86400
     course = Course((Segment(0, 4, 5.0, 0.1), Segment(4, 10, 1.0, 0.1)), 0.0, slope, 1e-12)
@@ -194,7 +194,7 @@ def fleet_of(outlier: float, std: float) -> list[Followed]:
 @pytest.mark.parametrize(("deviations", "unlike"), [(4.95, False), (5.05, True)])
 @pytest.mark.parametrize("std", [0.0, 0.2])
 def test_a_drive_differs_beyond_five_deviations(deviations, unlike, std):
-    """Median 1.1, median absolute deviation 0.1: a standard deviation of 0.14826."""
+    """The median is 1.1, the median absolute deviation 0.1, the standard deviation 0.14826."""
     outlier = 1.1 + deviations * np.hypot(0.14826, std)
     remarks_of_drives = [item.remarks for item in _mark_unlike(fleet_of(outlier, std))]
     assert remarks_of_drives[:4] == [()] * 4
@@ -230,7 +230,7 @@ def test_bounds_must_be_ascending(text):
 
 
 def test_a_limit_allows_for_the_scatter_of_the_drive():
-    """A zigzag of ±0.1 with small stds: the limit is crossed by the scatter only."""
+    """In a zigzag of ±0.1 with small stds, only the scatter crosses the limit."""
     logs = [
         {
             "log": str(k),

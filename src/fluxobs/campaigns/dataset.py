@@ -208,7 +208,8 @@ def open_dataset(folder: str | Path) -> Dataset:
         specification = Specification(**stored["specification"])
     except FluxobsError as error:
         raise FluxobsError(
-            f"{path}: made with fluxobs {stored['fluxobs']}, this is {version('fluxobs')}: {error}"
+            f"{path}: made with fluxobs {stored['fluxobs']}, but this is version "
+            f"{version('fluxobs')}: {error}"
         ) from None
     try:
         changed = _describe_difference(stored, manifest(specification, stored["chunk"]))
@@ -245,7 +246,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 def _describe_difference(stored: dict[str, Any], current: dict[str, Any]) -> str:
     """Describe the difference between two manifests; empty if they are equal."""
     if stored["fluxobs"] != current["fluxobs"]:
-        return f"made with fluxobs {stored['fluxobs']}, this is {current['fluxobs']}"
+        return f"made with fluxobs {stored['fluxobs']}, but this is version {current['fluxobs']}"
     before, after = stored["specification"], current["specification"]
     names = [name for name in after if before.get(name) != after[name]]
     if names:

@@ -111,7 +111,7 @@ LAYOUT: dict[str, Any] = {
         typer.Option(
             help="Samples by which a row's voltage acts early. 0 (default): the voltage acts from "
             "its row to the next row; -1: one sample later (the usual computation delay); +1: "
-            "one sample earlier. May be a fraction."
+            "one sample earlier. Fractions are allowed."
         ),
     ],
     "held": Annotated[
@@ -198,7 +198,9 @@ LAYOUT: dict[str, Any] = {
     ],
     "join": Annotated[
         list[str] | None,
-        typer.Option(metavar="FILE", help="Another file of the same run; may be repeated."),
+        typer.Option(
+            metavar="FILE", help="Another file of the same run; the option may be repeated."
+        ),
     ],
     "align": Annotated[
         str | None,

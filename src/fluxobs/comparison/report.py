@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 LEAST_SQUARES = "least squares"
-#: An error within this factor of the smallest counts as equally good.
+#: An error within this factor of the smallest error counts as equally good.
 NEAR = 1.1
 
 

@@ -133,7 +133,7 @@ class Followed:
 
 
 def _first_level(t: Array, course: Course) -> float:
-    """Return the level at the first time: on the trend, if a trend covers the whole series."""
+    """Return the level at the first time, taken from the trend if it covers the whole series."""
     trend = course.slope if course.drifts and len(course.segments) == 1 else 0.0
     return course.segments[0].mean + trend * float(t[0] - np.mean(t))
 

@@ -16,7 +16,9 @@ def channels(
     log: LogArgument,
     join: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="Another file of the same run; may be repeated."),
+        typer.Option(
+            metavar="FILE", help="Another file of the same run; the option may be repeated."
+        ),
     ] = None,
     header: Annotated[
         str | None, typer.Option(metavar="NAMES", help="Column names of a file without a header.")

@@ -27,8 +27,8 @@ def fleet(
         typer.Option(
             metavar="NAME=LOW..HIGH",
             help="Limits for resistance, psi_f, inverter_voltage, offset_alpha or offset_beta in "
-            "SI units; NAME=10%: allowed deviation from each drive's first level. May be "
-            "repeated.",
+            "SI units; NAME=10%: allowed deviation from each drive's first level. The option "
+            "may be repeated.",
         ),
     ] = None,
     report: Annotated[
