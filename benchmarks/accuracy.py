@@ -67,12 +67,15 @@ def noise_floor() -> None:
             resistive_noise = machine.R_s * np.sqrt(h * observer.memory) / machine.L_s
             print(
                 f"    {name:12s} {omega:5.0f} rad/s  {rms:.3f} degrees, {rms / floor:.2f} × the "
-                f"floor; noise through R is {resistive_noise:.2f} times that through L"
+                f"floor; noise through R is {resistive_noise:.2f} times the noise through L"
             )
 
 
 def standstill() -> None:
-    heading("Ten noisy minutes at standstill, then motion (target: never valid, then one period)")
+    heading(
+        "Ten noisy minutes at standstill, then motion (target: no valid row, then valid in one "
+        "period)"
+    )
     for name, machine in magnet_machines().items():
         h, noise, rows = 2e-4, 0.005 * machine.rated_current, 3000
         observer = LeastSquaresObserver.for_machine(machine, sample_time=h, current_noise=noise)
@@ -88,9 +91,10 @@ def standstill() -> None:
         valid = estimate.valid[standstill_rows:]
         error = degrees_error(estimate.theta_e[standstill_rows:], theta)
         print(
-            f"    {name:12s} {estimate.valid[:standstill_rows].sum()} rows valid at standstill; at "
-            f"{omega:.0f} rad/s valid after {np.argmax(valid) * h * omega / 2 / np.pi:.2f} turns, "
-            f"then errors up to {np.abs(error[valid]).max():.2f} degrees"
+            f"    {name:12s} {estimate.valid[:standstill_rows].sum()} rows are valid at "
+            f"standstill; at {omega:.0f} rad/s, rows are valid after "
+            f"{np.argmax(valid) * h * omega / 2 / np.pi:.2f} turns with errors up to "
+            f"{np.abs(error[valid]).max():.2f} degrees"
         )
 
 
@@ -112,7 +116,7 @@ def single_precision() -> None:
 
 
 def long_memories() -> None:
-    heading("float32 against double over the steps per memory (servo, 20 kHz, ten memories)")
+    heading("float32 against double for several steps per memory (servo, 20 kHz, ten memories)")
     machine = magnet_machines()["servo-400w"]
     for steps in (600, 2000, 4000, 10_000, 20_000):
         h, rows = 5e-5, 20 * steps

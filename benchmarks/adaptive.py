@@ -1,7 +1,7 @@
-"""The adaptive observer against the plain one.
+"""The adaptive observer against the plain observer.
 
-Start, resistance, inverter, interior machines with varying i_d, low speed, measured logs, coverage
-of the standard deviations, cost.
+The benchmarks cover the start, resistance, inverter, interior machines with varying i_d, low speed,
+measured logs, coverage of the standard deviations, and cost.
 
     python benchmarks/adaptive.py                 # runs all; --map FILE.png also draws the map
 """
@@ -50,8 +50,9 @@ def profile(*knots: tuple[float, float]) -> Array:
 
 def start() -> None:
     heading(
-        "Start from standstill at an unknown angle, 5 % offset: largest error of 40 starts "
-        "[degrees] by degrees turned (target: 5 after 90 at 0.5 % noise, after 180 at 2.5 %)"
+        "Start from standstill at an unknown angle, 5 % offset: largest error [degrees] of 40 "
+        "starts after a rotation [degrees] (target: 5 after 90 at 0.5 % noise, 5 after 180 at 2.5 "
+        "%)"
     )
     turns = (60, 90, 129, 180, 270, 360)
     speed = profile((0, 0), (0.02, 0), (0.08, 250), (0.13, 250))
@@ -82,7 +83,7 @@ def start() -> None:
                 worst[name].append(
                     list(np.abs(degrees_error(estimate.theta_e, samples.theta))[rows])
                 )
-        print(f"    noise {noise:.1%}, after {', '.join(map(str, turns))} degrees")
+        print(f"    noise {noise:.1%}, after rotation by {', '.join(map(str, turns))} degrees")
         for name, values in worst.items():
             print(f"        {name:9s}", *(f"{x:6.1f}" for x in np.max(values, axis=0)))
 
@@ -132,7 +133,8 @@ def compare(name: str, believed, record, begin: float, **options) -> str:
 
 def resistance() -> None:
     heading(
-        "Wrong R; load steps and a reversal under load; degrees from 0.8 s on (target 0.1–0.15 rms)"
+        "Wrong R, load steps, reversal under load: error [degrees] from 0.8 s on (target 0.1–0.15 "
+        "rms)"
     )
     speed = ((0, 0), (0.3, 0.5), (1.4, 0.5), (1.8, -0.5), (3.0, -0.5))
     load = ((0.6, 0), (0.6, 1), (1.0, 1), (1.0, 0.3), (2.0, 0.3), (2.0, -0.8), (2.5, 0.5))
@@ -157,7 +159,8 @@ def resistance() -> None:
 
 def inverter() -> None:
     heading(
-        "Inverter error of 2 % of the DC link at 10 % speed; from 1.0 s on (target 0.3 and 0.6 rms)"
+        "Inverter error of 2 % of the DC link at 10 % speed: error [degrees] from 1.0 s on (target "
+        "0.3 and 0.6 rms)"
     )
     load = ((0, 0.5), (0.8, 0.5), (0.8, 1), (1.3, 1), (1.3, 0.3), (2.0, 0.3), (2.0, 0.8))
     courses = {
@@ -171,8 +174,9 @@ def inverter() -> None:
 
 def interior(picture: Path | None) -> None:
     heading(
-        "Interior machine, i_d stepped by shares of rated current: largest error [degrees] over "
-        "saliency L_q / L_d (rows), i_d / rated (columns); half load and speed; L_q i / psi 0.7"
+        "Interior machine with steps of i_d at half load and half speed, L_q i / psi = 0.7: "
+        "largest error [degrees] over the saliency L_q / L_d (rows) and i_d / rated current "
+        "(columns)"
     )
     base = example("ipm-2kw2")
     ratios, currents = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0), (-1.5, -1.0, -0.5, 0.5, 1.0)
@@ -234,8 +238,8 @@ def draw_map(path: Path, ratios, currents, maps: dict[str, Array]) -> None:
 
 def low_speed() -> None:
     heading(
-        "Lowest speed [rad/s] at which the position stays within 5 degrees for 1 s or more, after "
-        "100 rad/s; 3 seeds; 1 % offset, 30 % load, drift only (rated: 474 rad/s)"
+        "Lowest speed [rad/s] at which the error stays below 5 degrees for 1 s or more after a "
+        "start at 100 rad/s; 3 seeds, 1 % offset, 30 % load, only drift unknown (rated: 474 rad/s)"
     )
     speeds = (60, 40, 25, 15, 10, 6, 4, 2.5, 1.5, 1.0, 0.6, 0.4)
     for memory in (0.03, 0.3):
@@ -280,8 +284,8 @@ def low_speed() -> None:
                         lowest["valid"] = omega
             print(
                 f"    memory {memory:g} s, noise {noise:.1%}: plain {lowest['plain']:g} (valid "
-                f"from {lowest['plain, valid']:g}), adaptive {lowest['adaptive']:g} "
-                f"({lowest['valid']:g})"
+                f"from {lowest['plain, valid']:g}), adaptive {lowest['adaptive']:g} (valid from "
+                f"{lowest['valid']:g})"
             )
 
 
@@ -292,8 +296,8 @@ def measured() -> None:
     import fluxobs
 
     heading(
-        "Measured logs, same settings: degrees rms about the mean from 0.2 s (targets: 0.85; "
-        "filtered 1.0)"
+        "Measured logs, equal settings: rms error about the mean [degrees] from 0.2 s on (targets: "
+        "0.85, with --causal 1.0)"
     )
     logs = sorted(MEASURED.glob("data*.csv"))
     if not logs:
@@ -315,8 +319,8 @@ def measured() -> None:
         numbers = " ".join(f"{score:.2f}" for score in scores)
         print(
             f"    {unknowns + ' --causal' * causal:14s} {numbers}, mean {np.mean(scores):.2f}; "
-            f"worst valid row {max(worst):.1f}; 2 sigma holds {min(coverages):.0%} or more; valid "
-            f"{min(valid):.0%} or more"
+            f"worst valid row {max(worst):.1f}; at least {min(coverages):.0%} of the errors "
+            f"within 2 sigma; at least {min(valid):.0%} valid"
         )
         if estimates.learnt is not None and not causal:
             for path in logs:
@@ -335,8 +339,9 @@ def measured() -> None:
 
 def coverage() -> None:
     heading(
-        "416 simulated drives, R, psi, inverter and offsets drawn from the priors: squared error "
-        "over variance, mean over the valid instants; share within three standard deviations"
+        "416 simulated drives with R, psi, inverter and offsets drawn from the priors: mean of "
+        "squared error over variance at the valid instants (share within three standard "
+        "deviations)"
     )
     for name, lanes in (("pmsm-2kw2", 208), ("servo-400w", 104), ("ipm-2kw2", 104)):
         coverage_of(name, lanes)
@@ -451,7 +456,7 @@ def score_lane(lane, machine, h, u, i, theta, volt, drift, worst) -> list[list[f
 
 
 def cost() -> None:
-    heading("A million samples of pmsm-2kw2, ns per sample (target: 2.2 times the plain one's)")
+    heading("A million samples of pmsm-2kw2, ns per sample (target: 2.2 times the plain observer)")
     samples = steady(MACHINE, H, 200.0, 200_000, i_dq=3j, noise=0.02)
     observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
     times: dict[str, list[float]] = {"plain": [], "adaptive": []}
@@ -461,7 +466,7 @@ def cost() -> None:
             compared.run(samples.voltage, samples.current)
             times[name].append((time.perf_counter() - begin) / len(samples.current) * 1e9)
     plain, adaptive = (float(np.median(times[name])) for name in ("plain", "adaptive"))
-    print(f"    plain {plain:.0f}, adaptive {adaptive:.0f}: {adaptive / plain:.2f} times")
+    print(f"    plain {plain:.0f}, adaptive {adaptive:.0f}: ratio {adaptive / plain:.2f}")
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ SCENARIOS, WORKERS = 1000, 2
 
 
 def specification(loop: str, scenarios: int = SCENARIOS) -> Specification:
-    """Return a specification: two seconds at 8 kHz, plain and adaptive, varied quantities."""
+    """Return a specification of drives of two seconds at 8 kHz with plain and adaptive observer."""
     return Specification(
         machines=["pmsm-2kw2"],
         scenarios=scenarios,
@@ -44,9 +44,9 @@ def specification(loop: str, scenarios: int = SCENARIOS) -> Specification:
 
 
 def run(loop: str, scheduler: str, workers: int, scenarios: int = SCENARIOS) -> tuple[float, float]:
-    """Return the wall time of a campaign, and the computing time of its chunks [s].
+    """Return (wall time of a campaign, computing time of its chunks) [s].
 
-    Compiled code must be in the cache from an earlier run.
+    An earlier run must have filled the cache of compiled code.
     """
     spec = specification(loop, scenarios)
     with tempfile.TemporaryDirectory() as folder:
@@ -69,7 +69,7 @@ def _size(spec: Specification) -> int:
 
 
 def empty_task(folder: str, chunk: Chunk) -> float:
-    """Do the task of a chunk of empty scenarios: only create its file."""
+    """Do the task of a chunk of empty scenarios: only create the chunk's file."""
     (Path(folder) / "rows" / chunk.file).touch()
     return 0.0
 
@@ -105,7 +105,8 @@ def main(quick: bool) -> None:
     count = 256 if quick else SCENARIOS
     heading(
         f"{count} scenarios of 2 s at 8 kHz, plain and adaptive, {os.cpu_count()} processors "
-        f"(target for 1000 on two: 60 s open loop, 120 s in the loop, once compiled)"
+        "(target for 1000 scenarios on two processors after compilation: 60 s in open loop, 120 "
+        "s in closed loop)"
     )
     for loop in ("open", "closed"):
         spec = specification(loop, 64)
@@ -115,17 +116,21 @@ def main(quick: bool) -> None:
         idle = 100 * (1 - computing / WORKERS / wall)
         print(
             f"    {loop}: {wall:.1f} s on {WORKERS} workers, {1e3 * computing / count:.0f} ms of "
-            f"computing a scenario; start, files and waiting {idle:.0f} % of the workers' time"
+            f"computing per scenario; start, files and waiting need {idle:.0f} % of the workers' "
+            "time"
         )
-    heading(f"Dask: one and two workers on {2 * count} scenarios, start included (target 1.8)")
+    heading(
+        f"Dask with one and with two workers on {2 * count} scenarios, start included (target "
+        "ratio 1.8)"
+    )
     walls = [run("open", "local", workers, 2 * count)[0] for workers in (1, 2)]
-    print(f"    {walls[0]:.1f} s and {walls[1]:.1f} s: {walls[0] / walls[1]:.2f} times")
-    heading("The driver with empty scenarios (target 50 µs each, constant memory)")
+    print(f"    {walls[0]:.1f} s and {walls[1]:.1f} s: ratio {walls[0] / walls[1]:.2f}")
+    heading("The driver with empty scenarios (target 50 µs per scenario, constant memory)")
     for scenarios in (10_000, 100_000, 1_000_000):
         microseconds, memory = measured_driver(scenarios)
         print(
-            f"    {scenarios:9,d}: {microseconds:.2f} µs of processor time each, peak "
-            f"{memory:.0f} MiB"
+            f"    {scenarios:9,d}: {microseconds:.2f} µs of processor time per scenario, peak "
+            f"memory {memory:.0f} MiB"
         )
 
 

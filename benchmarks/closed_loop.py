@@ -26,7 +26,7 @@ def errors(run: Run, half_turn: bool = False) -> np.ndarray:
 
 
 def course(ratings: Rating, machine: RotatingMachine, speed, load=((0, 0),), **options) -> Course:
-    """Return a course from speeds and loads as shares of their rated values."""
+    """Return a course from speeds and loads, given as shares of the rated values."""
     return Course(
         Profile([t for t, _ in speed], [x * ratings.speed_e / machine.n_p for _, x in speed]),
         ratings.dc_link,
@@ -46,7 +46,9 @@ def losses(run: Run) -> str:
 
 
 def table_of_theory() -> None:
-    heading("Cases of theory section 5, sensorless, rms degrees at 0.5 pu, 1 pu, ramp, -0.3 pu")
+    heading(
+        "Cases of theory section 5, sensorless: rms error [degrees] at 0.5 pu, 1 pu, ramp, -0.3 pu"
+    )
     rated, machine = rating(MACHINE), example(MACHINE)
     offsets = {"offset": (0.22 * 0.6, 0.22 * 0.8)}
     wrong = believed_machine(machine, {"R": 1.2})
@@ -69,18 +71,21 @@ def table_of_theory() -> None:
 
 
 def speeds() -> None:
-    heading("1 to 100 % of rated, both ways, full load step, bias 0.22 A and 2.2 V, noise 0.02 A")
+    heading(
+        "Both directions, 1 to 100 % of rated speed: full load step, bias 0.22 A and 2.2 V, "
+        "noise 0.02 A"
+    )
     rated, machine = rating(MACHINE), example(MACHINE)
     sensors = {"offset": (0.22 * 0.6, 0.22 * 0.8), "noise": 0.02}
     for share in (0.01, 0.02, 0.05, 0.1, 0.3, 1.0):
         for sign in (1, -1):
-            # Time of half a turn, as `sensorless_drive` recommends, but at least the default.
+            # `sensorless_drive` recommends the time of half a turn; use at least the default.
             memory = max(0.03, np.pi / (share * rated.speed_e))
             ramp_end = 0.2 + max(0.1, 2 * share)
             settled = ramp_end + 4 * memory + 0.5
             target = sign * share
             speed = ((0, 0), (0.2, 0), (ramp_end, target))
-            # At an EMF of 1 % of rated only small voltage errors besides offsets are possible.
+            # At 1 % of the rated EMF, voltage errors other than offsets must be small.
             prior = min(0.1 * machine.psi_f / memory, 0.1 * share * rated.speed_e * machine.psi_f)
             drive = sensorless_drive(
                 machine, rated, memory, speed_bandwidth=50.0, drift_prior=prior, **sensors
@@ -103,7 +108,9 @@ def speeds() -> None:
 
 
 def resistance_in_the_loop() -> None:
-    heading("R + 20 %, half speed, half load: speed bandwidth times memory, last half second")
+    heading(
+        "R + 20 %, half speed, half load: error by speed bandwidth times memory, last half second"
+    )
     rated, machine = rating(MACHINE), example(MACHINE)
     wrong = believed_machine(machine, {"R": 1.2})
     for memory, bandwidth in ((0.1, 50.0), (0.1, 7.5), (0.03, 25.0)):
@@ -147,8 +154,8 @@ def jumps() -> None:
             above = error[window] > 1
             recovery = (np.flatnonzero(above)[-1] + 1 if above.any() else 0) * run.sample_time
             print(
-                f"    {100 * share:4.0f} %, {kind} offset: at most {error[window].max():.2f} "
-                f"degrees, below 1 after {1e3 * recovery:.0f} ms; {losses(run)}"
+                f"    {100 * share:4.0f} %, {kind} offset: error at most {error[window].max():.2f} "
+                f"degrees, below 1 degree after {1e3 * recovery:.0f} ms; {losses(run)}"
             )
 
 
@@ -177,7 +184,7 @@ def starts() -> None:
         worst.append(np.abs(errors(run)[run.trace.mode == 1]).max())
     print(
         f"    in the loop after {min(times):.2f} to {max(times):.2f} s (the reference starts at "
-        f"0.2 s), then at most {max(worst):.2f} degrees"
+        f"0.2 s), then error at most {max(worst):.2f} degrees"
     )
 
 

@@ -1,4 +1,4 @@
-"""Shared by the benchmarks: description of the computer, and closed-form records."""
+"""Description of the computer and closed-form records, shared by the benchmarks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MEASURED = Path(os.environ.get("FLUXOBS_DATA", ROOT.parent / "shared" / "data"))
 
 
 def machine_line() -> str:
-    """Return processor, cores and Python version, which are printed with each result."""
+    """Return a text with processor, cores and Python version, to print with the results."""
     model = platform.processor()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -46,9 +46,10 @@ class Drive:
     theta0: float = 1.0
 
     def samples(self, rows: int) -> tuple[Array, Array, Array, Array]:
-        """Return true angle, current, volt-seconds ∫(u - R i) dt and mean voltage, (rows, 2) each.
+        """Return (true angle, current, volt-seconds ∫(u - R i) dt, mean voltage).
 
-        Volt-seconds and mean voltage are those of the interval that ends at the row.
+        Vectors have the shape (rows, 2). Volt-seconds and mean voltage cover the interval that ends
+        at the row.
         """
         start = self.theta0 - self.omega * self.sample_time
         true = steady(self.machine, self.sample_time, self.omega, rows, self.current, start)

@@ -1,4 +1,4 @@
-"""The least squares against all other observers: all scenarios, then the measured logs."""
+"""Compare the least squares with all other observers on all scenarios and measured logs."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from fluxobs.comparison.scenarios import SCENARIOS
 def line(comparison: Comparison) -> str:
     """Return a line of rms errors [degrees].
 
-    The least squares with recommended and with tuned gains, its untracked angle over the bound, and
-    the best other observers.
+    The line shows the least squares with recommended and with tuned gains, the ratio of its
+    untracked angle to the bound, and the best other observers.
     """
     untracked = comparison.result(LEAST_SQUARES)
     others = other_results(comparison)
@@ -32,13 +32,16 @@ def line(comparison: Comparison) -> str:
     return (
         f"    {comparison.title:20s} {np.degrees(least_squares.recommended.rms):7.3f} "
         f"{np.degrees(least_squares.tuned.rms):7.3f} {ratio}  {mark}  "
-        f"{np.degrees(best.tuned.rms):7.3f} {best.name}; as recommended "
+        f"{np.degrees(best.tuned.rms):7.3f} {best.name}; with recommended gains "
         f"{np.degrees(recommended.recommended.rms):.3f} {recommended.name}"
     )
 
 
 def scenarios(machine: str, names: list[str]) -> None:
-    heading(f"{machine}: least squares recommended, tuned [deg rms], raw over bound; best other")
+    heading(
+        f"{machine}: least squares with recommended and with tuned gains [deg rms], ratio of "
+        "the raw angle to the bound, best other observer"
+    )
     for scenario in names:
         print(line(compare_scenario(SCENARIOS[scenario], machine)), flush=True)
 
@@ -50,7 +53,8 @@ def logs() -> None:
         return
     for psi, source in ((0.032, "as published"), (0.0243, "as estimated by the least squares")):
         heading(
-            f"Measured logs, magnet flux {psi} Vs, {source}: rms degrees, gains tuned on the log"
+            f"Measured logs, magnet flux {psi} Vs, {source}: rms error [degrees] with gains tuned "
+            "on the log"
         )
         machine = MACHINE.with_values(psi_f=psi)
         comparisons = [compare(path, machine, **LAYOUT) for path in paths]

@@ -49,7 +49,7 @@ def select_true(row: Trace) -> tuple[object, ...]:
 
 
 def with_observer(kind: type[LeastSquaresObserver] | type[AdaptiveObserver]) -> list[Drive]:
-    """Drives with this observer in the loop, each with offsets of its own."""
+    """Return drives with this observer in the loop; each drive has different offsets."""
     observer = LoopObserver.of(kind.for_machine(MACHINE, sample_time=RATED.sample_time))
     return [
         replace(
@@ -61,7 +61,7 @@ def with_observer(kind: type[LeastSquaresObserver] | type[AdaptiveObserver]) -> 
 
 
 def best(run: object, times: int = 7) -> tuple[float, float]:
-    """Return shortest and median time [s]; a first run compiles."""
+    """Return (shortest, median) time [s]; an earlier run compiles and is not timed."""
     run()
     durations = []
     for _ in range(times):
@@ -81,8 +81,8 @@ def main() -> None:
         print(f"    {name:38s} median {median:.3f} s, best {shortest:.3f} s")
 
     heading(
-        f"A batch of {LANES} such seconds, all different (target 1 us per drive and sample); "
-        f"ratio to the loop with an encoder"
+        f"A batch of {LANES} different drives of one second (target 1 us per drive and sample); "
+        "ratio to the loop with an encoder"
     )
     courses = [course(GENERATOR.uniform(0, 1), GENERATOR.uniform(-3, 3)) for _ in range(LANES)]
     batches = {
@@ -91,7 +91,7 @@ def main() -> None:
         "adaptive observer": with_observer(AdaptiveObserver),
     }
     times: dict[str, list[float]] = {name: [] for name in batches}
-    for _ in range(REPETITIONS):  # interleaved: the machine's speed varies
+    for _ in range(REPETITIONS):  # interleaved: this computer's speed varies
         for name, drives in batches.items():
             fields = select_true if name == "encoder" else select
             started = time.perf_counter()

@@ -1,9 +1,9 @@
 """A hundred million samples in single precision: drifting offsets, stops, bad samples, restarts.
 
-83 minutes of a servo at 20 kHz. Every twenty seconds it runs up, reverses and stops for two
-seconds. The offsets change randomly by a tenth per minute. Each minute has missing and implausible
-samples, and a gap so long that the observer restarts. The benchmark shows whether errors grow and
-whether outputs are not finite.
+A servo runs 83 minutes at 20 kHz. Every twenty seconds the servo runs up, reverses and stops for
+two seconds. The offsets change randomly by a tenth per minute. Each minute has missing and
+implausible samples, and a gap after which the observer restarts. The benchmark shows whether errors
+grow and whether all outputs are finite.
 
     python benchmarks/endurance.py [--samples 1e8]
 """
@@ -21,7 +21,7 @@ from fluxobs.simulation.closed_form.signals import vectors
 
 RATE, BATCH = 20_000, 1_200_000  # a batch is a minute
 MACHINE = example("servo-400w")
-#: Speed [rad/s] over time [s], repeated periodically.
+#: Periodic speed [rad/s] over time [s].
 TIMES = np.array([0.0, 1.0, 8.0, 9.0, 11.0, 13.0, 17.0, 18.0, 20.0])
 SPEEDS = np.array([0.0, 600.0, 900.0, 0.0, 0.0, -700.0, -400.0, 0.0, 0.0])
 #: Angle at these times [rad].
@@ -40,7 +40,7 @@ def course(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def minute(n: int, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return true angle, voltages and currents; offsets move from the first row to the second."""
+    """Return (true angle, voltages, currents); `offsets` gives the offsets at start and end."""
     h = 1 / RATE
     theta, speed = course((np.arange(-1, BATCH) + n * BATCH) * h)
     rotation = np.exp(1j * theta)
@@ -123,10 +123,10 @@ def main() -> None:
         )
         counts = observer.counts(states[name])
         print(
-            f"    {name}: rms of the first tenth {first_rms:.3f}°, of the last {last_rms:.3f}°; "
-            f"valid {valid[name] / (minutes * BATCH):.1%}, worst valid row {worst[name]:.1f}°, "
-            f"{beyond[name] / valid[name]:.2%} beyond 3 σ; {counts.restarts} restarts; "
-            f"{infinite[name]} outputs not finite"
+            f"    {name}: rms error {first_rms:.3f}° in the first tenth, {last_rms:.3f}° in the "
+            f"last tenth; valid {valid[name] / (minutes * BATCH):.1%}, worst valid row "
+            f"{worst[name]:.1f}°, {beyond[name] / valid[name]:.2%} beyond 3 σ; {counts.restarts} "
+            f"restarts; {infinite[name]} outputs are not finite"
         )
 
 

@@ -17,7 +17,7 @@ COLD = 0.36  # Ω
 
 
 def main() -> None:
-    heading("resistance that rises with a time constant; scored after 1.5 s of each 4 s cycle")
+    heading("Resistance that rises with a time constant; scored after 1.5 s of each 4 s cycle")
     for rise, time_constant in ((0.0, 1.0), (0.15, 100.0), (0.25, 40.0)):
         endless.WARMER, endless.WARMING = rise, time_constant
         rows = np.array(list(islice(endless.endless(), round(SECONDS / endless.SAMPLE_TIME))))

@@ -1,6 +1,6 @@
 """Voltages held over a sample, with a short L/R and few samples per period.
 
-Prints the table of docs/benchmarks.md, "Held voltages": a motor of 50 mOhm, 20 uH at 10 kHz.
+Prints the table of docs/benchmarks.md, "Held voltages", for a motor of 50 mOhm and 20 uH at 10 kHz.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ def load(t):
 
 
 def main() -> None:
-    print("R h/L = 0.25; steps of load, offsets; degrees, from 0.15 s on; floor = L sigma/psi")
+    print(
+        "R h/L = 0.25, load steps, offsets: rms error [degrees] from 0.15 s on; floor = L sigma/psi"
+    )
     for per_period in (10, 14, 28):
         speed = 2 * np.pi / (per_period * H)
         for label, options in (
@@ -47,7 +49,7 @@ def main() -> None:
             print(
                 f"    {per_period:2d} samples per period, {label:25s} memory "
                 f"{1e3 * observer.memory:4.1f} ms: {np.sqrt(np.mean(error**2)):.3f} rms without "
-                f"noise; noise {np.mean(noise_stds) / floor:.2f} of the floor"
+                f"noise; noise error {np.mean(noise_stds) / floor:.2f} of the floor"
             )
 
 

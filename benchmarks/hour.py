@@ -1,4 +1,4 @@
-"""An hour at 20 kHz, 72 million rows of Parquet, through `fluxobs estimate`: wall time and memory.
+"""Wall time and memory of `fluxobs estimate` on an hour at 20 kHz, 72 million rows of Parquet.
 
 python benchmarks/hour.py [--hours 1.0] [--folder DIR]
 """

@@ -1,9 +1,9 @@
 """The adaptive observer in the loop: start, half-load step, loaded reversal, with dead time.
 
-A 2.2 kW motor under field-oriented control with the observer's angle and speed. A rotating current
-vector starts it; the observer takes over after 20 ms of valid position. The inverter loses 0, 1 or
-2 % of the DC link per phase, opposing the current. R_s of the machine file is 20 % too large; the
-current sensors have an offset of 2 %.
+A 2.2 kW motor runs under field-oriented control with the observer's angle and speed. A rotating
+current vector starts the motor; the observer enters the loop after 20 ms of valid position. The
+inverter loses 0, 1 or 2 % of the DC link per phase, opposing the current. R_s of the machine file
+is 20 % too large; the current sensors have an offset of 2 %.
 
     python benchmarks/in_loop.py
 """
@@ -44,7 +44,7 @@ class Motor:
 
 
 def run(loss: float) -> dict[str, float]:
-    """Return the largest errors after the hand-over by event [°], and the hand-over's time [s]."""
+    """Return the largest error per event after the hand-over [°], and the hand-over's time [s]."""
     m, rng = MACHINE, np.random.default_rng(1)
     rated_current = m.rated_current
     observer = AdaptiveObserver.for_machine(
@@ -74,7 +74,7 @@ def run(loss: float) -> dict[str, float]:
             ready = bool(estimate.valid) and abs(reference) > 0.2 * SPEED[2][1]
             valid_time = valid_time + H if ready else 0.0
             target, axis, omega = 0.8 * rated_current + 0j, np.exp(1j * startup_angle), reference
-            if valid_time > 0.02:  # the controllers start from the present current
+            if valid_time > 0.02:  # controllers start at this current
                 closed_at = t
                 current_dq = measured * np.exp(-1j * angle)
                 torque_current, integral = (

@@ -17,7 +17,7 @@ from fluxobs.simulation.drive.sensorless import RUNNING
 
 MACHINE, RATED = example("induction-2kw2"), rating("induction-2kw2")
 BASE = RATED.speed_e / MACHINE.n_p
-#: Name → speed and load over time as shares of the rated values, duration, options of the drive.
+#: Name → (speed over time, load over time, duration, options); speed and load as rated shares.
 COURSES: dict[str, tuple[Any, Any, float, dict[str, float]]] = {
     "start, full load, loaded reversal": (
         [(0, 0), (0.2, 0.1), (0.6, 0.1), (1.0, 0.8), (1.8, 0.8), (2.8, -0.8), (3.6, -0.8)],
@@ -70,10 +70,10 @@ def main() -> None:
             speed_error = np.abs(trace.speed - trace.reference)[settled] / BASE
             label = ", ".join(f"{key} x {factor}" for key, factor in factors.items()) or "correct"
             print(
-                f"    {label:12s} in the loop {running.mean():5.1%}, position "
-                f"{np.sqrt(np.mean(error[running] ** 2)):6.2f} deg rms, valid rows at most "
-                f"{np.abs(error[valid]).max(initial=0):6.2f}, speed error up to "
-                f"{speed_error.max():6.1%}, at the end {speed_error[-1]:5.2%} of rated"
+                f"    {label:12s} in the loop {running.mean():5.1%}, position error "
+                f"{np.sqrt(np.mean(error[running] ** 2)):6.2f} deg rms, "
+                f"{np.abs(error[valid]).max(initial=0):6.2f} at most on valid rows, speed error "
+                f"{speed_error.max():6.1%} at most, {speed_error[-1]:5.2%} of rated at the end"
             )
 
 

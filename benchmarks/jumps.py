@@ -1,8 +1,8 @@
 """Jumping offsets: plain and adaptive observer on the scenario `bias-jumps` of the comparison.
 
 The best baseline, the extended Kalman filter with drift state and tuned gains, reaches 0.182
-degrees (docs/observers.md, `benchmarks/compare.py`). Larger jumps are several times the drift's
-prior.
+degrees (docs/observers.md, `benchmarks/compare.py`). The larger jumps here are several times the
+drift's prior.
 
     python benchmarks/jumps.py
 """
@@ -20,8 +20,8 @@ from fluxobs.comparison.scenarios import run_scenario, scenario
 
 def main() -> None:
     heading(
-        "Offsets that change sign at 2.6 s, 2.2 kW motor: degrees rms from 0.5 s on, largest, "
-        "largest on a valid row (target at 1 x: 0.18 rms as the best baseline)"
+        "Offsets that change sign at 2.6 s, 2.2 kW motor: error [degrees] from 0.5 s on, as rms, "
+        "largest, and largest on a valid row (target at 1 x: 0.18 rms, like the best baseline)"
     )
     jumps = scenario("bias-jumps")
     for factor in (0.0, 1.0, 2.0, 5.0):
@@ -47,7 +47,7 @@ def main() -> None:
             worst = error[scored & estimate.valid].max()
             print(
                 f"    {factor:.0f} x, {name:24s} {np.sqrt(np.mean(error[scored] ** 2)):.3f} rms, "
-                f"{error[scored].max():.1f} at most, {worst:.1f} on a valid row"
+                f"{error[scored].max():.1f} at most, {worst:.1f} at most on a valid row"
             )
 
 

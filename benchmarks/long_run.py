@@ -27,7 +27,7 @@ def course(name: str, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def minute(machine: SurfacePMSM, name: str, start: int, noise: float) -> tuple[np.ndarray, ...]:
-    """Return true angle, mean voltage of the interval ending at each row, measured current."""
+    """Return (true angle, mean voltage of the interval that ends at the row, measured current)."""
     assert machine.psi_f is not None
     h = 1 / RATE
     k = np.arange(start - 1, start + BATCH)
@@ -35,7 +35,7 @@ def minute(machine: SurfacePMSM, name: str, start: int, noise: float) -> tuple[n
     rotation = np.exp(1j * np.remainder(theta, 2 * np.pi))
     i = 4j * rotation
     flux = machine.L_s * i + machine.psi_f * rotation
-    # Mean current over an interval, by Euler-Maclaurin: h^4 is far below single precision.
+    # Mean current over an interval by Euler-Maclaurin; the error h^4 is far below single precision.
     derivative = 1j * speed * i
     mean_current = (i[1:] + i[:-1]) / 2 - h * (derivative[1:] - derivative[:-1]) / 12
     u = np.diff(flux) / h + machine.R_s * mean_current + (0.12 - 0.08j)

@@ -34,14 +34,14 @@ H = 1.25e-4
 
 
 def score(estimate, theta, half_turn=False, start=0.2):
-    """Return rms from `start` [s] on, largest error on valid rows [degrees], share valid."""
+    """Return as text: rms error from `start` [s] on, largest valid error [degrees], valid share."""
     factor = 2 if half_turn else 1
     error = wrapped_degrees(factor * (estimate.theta_e - theta)) / factor
     settled = np.arange(len(error)) * H >= start
     worst = np.abs(error[estimate.valid]).max() if estimate.valid.any() else np.nan
     return (
-        f"{np.sqrt(np.mean(error[settled] ** 2)):6.3f} rms, valid rows at most {worst:5.2f}, "
-        f"valid {estimate.valid[settled].mean():.2f}"
+        f"{np.sqrt(np.mean(error[settled] ** 2)):6.3f} rms, {worst:5.2f} at most on valid rows, "
+        f"valid share {estimate.valid[settled].mean():.2f}"
     )
 
 
@@ -66,7 +66,7 @@ def points(model, factor=1.0):
 
 def reluctance():
     print("Saturated reluctance machine, 6.7 kW: i_q -12 to 18 A, i_d 8 to 12 A, reversal;")
-    print("1.1 V of offset, noise 0.05 A; degrees")
+    print("1.1 V of offset, noise 0.05 A; error [degrees]")
     values = {"R_s": 0.63, "n_p": 2, "rated_current": 22.0}
     samples = reluctance_record()
     for name, machine in (
@@ -97,8 +97,8 @@ def reluctance():
                 first_valid.append(np.argmax(valid) * H)
     print(
         f"    160 starts at any angle: {len(worst)} valid within 0.375 s, on average after "
-        f"{np.mean(first_valid):.3f} s; at most {np.max(worst):.1f}, median "
-        f"{np.median(worst):.1f}; {np.max(deviations):.1f} standard deviations"
+        f"{np.mean(first_valid):.3f} s; largest valid error {np.max(worst):.1f}, median "
+        f"{np.median(worst):.1f}, at most {np.max(deviations):.1f} standard deviations"
     )
 
 
@@ -139,7 +139,7 @@ def interior():
 
 
 class Measured(InteriorPMSM):
-    """The machine with a measured map, interpolated linearly between the measured points."""
+    """A machine whose measured map is interpolated linearly between the measured points."""
 
     def flux_dq(self, current):
         i, psi = mirrored(self.flux_map.current, self.flux_map.flux, True)
@@ -151,7 +151,7 @@ class Measured(InteriorPMSM):
 
 
 def measured_record(machine, seed):
-    """i_d from -2 to -10 A, i_q up to ±14 A, a reversal at 60 Hz."""
+    """Return a record with i_d from -2 to -10 A, i_q up to ±14 A, and a reversal at 60 Hz."""
     speed = 377 * profile((0, 0.2), (0.3, 1), (1.2, 1), (1.8, -1), (2, -1))
     i_d = profile(
         *((0, -2), (0.4, -2), (0.41, -10), (0.8, -10), (0.81, -4), (1.3, -4), (1.31, -8), (2, -8))
@@ -205,7 +205,7 @@ def cage():
 
 
 class Exact(SynchronousReluctance):
-    """The reluctance machine itself, without the splines through its map."""
+    """The reluctance machine with its exact map, without splines."""
 
     def flux_dq(self, current):
         return MODEL.flux(current)
@@ -236,8 +236,8 @@ def identified_from(title, true):
         observer = LeastSquaresObserver.for_machine(result.machine, sample_time=H)
         scores.append(score(observer.run(samples.voltage, samples.current), samples.theta, True))
     print(
-        f"    six logs: fluxes within {worst:.2%} in the visited region, within three standard "
-        f"deviations on {np.mean(np.concatenate(inside)):.0%}"
+        f"    six logs: flux errors at most {worst:.2%} in the visited region; "
+        f"{np.mean(np.concatenate(inside)):.0%} of the fluxes within three standard deviations"
     )
     print(f"    R_s {np.min(resistances):.4f} to {np.max(resistances):.4f} (true 0.63)")
     for text in scores:

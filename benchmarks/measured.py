@@ -1,4 +1,4 @@
-"""Accuracy on measured logs of a surface PMSM with encoder; skipped if the logs are absent.
+"""Accuracy on measured logs of a surface PMSM with encoder; without these logs, it is skipped.
 
 Data: lab449/med2021-spmsm-ft-observer, not part of this project. FLUXOBS_DATA names the folder.
 """
@@ -13,7 +13,7 @@ from common import MEASURED, degrees_error, heading
 import fluxobs
 from fluxobs import SurfacePMSM
 
-#: Published data; the rated current is missing and is then taken from the record.
+#: Published data; the rated current is missing and is therefore estimated from the record.
 MACHINE = SurfacePMSM(R_s=0.39, L_s=1.4e-3, n_p=8, psi_f=0.032)
 Q8 = 1 / 256
 LAYOUT: dict[str, Any] = {
@@ -48,10 +48,10 @@ def main() -> None:
         )[scored]
         coverage = (np.abs(error) < 2 * std)[scored].mean()
         print(
-            f"    {path.stem}: {error[scored].std():.2f} degrees rms about the mean, mean "
-            f"{mean:+.2f}, tracked {tracked.std():.2f}; below 10 after {1e3 * start:.1f} ms (first "
-            f"period {1e3 * period:.0f} ms); 2 sigma holds {coverage:.0%}; valid "
-            f"{valid.mean():.0%}, errors then up to {np.abs(error[valid]).max():.1f}"
+            f"    {path.stem}: error {error[scored].std():.2f} degrees rms about the mean, mean "
+            f"{mean:+.2f}, tracked {tracked.std():.2f}; below 10 degrees after {1e3 * start:.1f} "
+            f"ms (first period {1e3 * period:.0f} ms); {coverage:.0%} within 2 sigma; "
+            f"{valid.mean():.0%} valid with errors up to {np.abs(error[valid]).max():.1f}"
         )
 
 

@@ -1,7 +1,7 @@
-"""How often `check` is silent on a correct log, and finds the mistake in a wrong one.
+"""How often `check` is silent on a correct log, and finds the mistake in a wrong log.
 
-Random drives of eight machines (random_drives.py) with inverters and offsets. With a mistake, R has
-errors up to 50 % and the magnet flux up to 20 % as well.
+Random drives of eight machines (random_drives.py) with inverters and offsets. In a log with a
+mistake, R also has errors up to 50 % and the magnet flux up to 20 %.
 
     python benchmarks/mistakes.py [--drives 3]
 """
@@ -45,7 +45,7 @@ def _log(change: Callable[[Columns], Columns]) -> Callable[[Columns, RotatingMac
     return lambda columns, machine: (change(columns), machine)
 
 
-#: Mistake → its change of the log or machine, and the text expected in a finding or alternative.
+#: Mistake → (change of the log or machine, text expected in a finding or alternative).
 MISTAKES = {
     "none": (lambda columns, machine: (columns, machine), ""),
     "sign": (_log(lambda c: _scaled(c, "i", -1)), "opposite sign"),
@@ -67,7 +67,7 @@ def columns_of(record: Drive) -> Columns:
 
 
 def attempt(job: tuple[str, int]) -> list[tuple[str, str, str]]:
-    """Return name, verdict and text of the findings for each mistake."""
+    """Return (name, verdict, text of the findings) for each mistake."""
     record, verdicts = simulate(*job, 0.25), []
     for name, (change, expected) in MISTAKES.items():
         if name.startswith("psi_f") and not record.machine.magnets:
@@ -91,8 +91,8 @@ def attempt(job: tuple[str, int]) -> list[tuple[str, str, str]]:
 
 def main(drives: int, print_texts: bool) -> None:
     heading(
-        f"check on {drives} random drives of each machine: correct (a mistake: named, possibly "
-        "with others), ambiguous, silent, something else"
+        f"check on {drives} random drives of each machine: number of logs on which check is "
+        "correct (names the mistake, perhaps among others), ambiguous, silent, or wrong"
     )
     jobs = [(name, seed) for name in MACHINES for seed in range(drives)]
     with ProcessPoolExecutor() as pool:

@@ -1,6 +1,6 @@
 """The page and a report in a browser: sizes and waiting times.
 
-Needs `make page`, Chromium and playwright. Logs repeat the demo log with additional noise.
+Needs `make page`, Chromium and playwright. The logs repeat the demo log with additional noise.
 """
 
 import re
@@ -25,7 +25,7 @@ PATIENCE = 300_000
 
 
 def log(rows: int) -> pl.DataFrame:
-    """Repeat the demo log, with non-repeating current noise."""
+    """Repeat the demo log; the added current noise does not repeat."""
     demo = pl.read_csv(fluxobs.demo_log().path)
     frame = pl.concat([demo] * -(-rows // demo.height)).head(rows)
     noise = np.random.default_rng(1).normal(0.0, 0.02, (2, rows))
@@ -39,7 +39,7 @@ def log(rows: int) -> pl.DataFrame:
 
 
 def open_page(browser, path: Path, ready: str):
-    """Open a page; return it and the time until it was ready [s]."""
+    """Return (opened page, time until the page was ready [s])."""
     page = browser.new_page(viewport={"width": 1300, "height": 900})
     page.set_default_timeout(PATIENCE)
     started = time.perf_counter()
@@ -49,7 +49,7 @@ def open_page(browser, path: Path, ready: str):
 
 
 def longest_zoom(page) -> float:
-    """Return the longest duration of ten zooms, from all rows to few [ms]."""
+    """Return the longest duration [ms] of ten zooms from all rows to few rows."""
     return page.evaluate(
         """() => {
             const p = fluxobs.results.panels, [a, b] = p.full;
@@ -67,7 +67,7 @@ def longest_zoom(page) -> float:
 
 
 def slider_time(page) -> float:
-    """Return the median time from a move of the slider to the new picture, of five [ms]."""
+    """Return the median time [ms] from a slider move to the new picture, for five moves."""
     durations = []
     for value in (0.3, -0.3, 0.2, -0.2, 0.1):
         page.evaluate(

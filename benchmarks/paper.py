@@ -1,4 +1,4 @@
-"""Wall time of `fluxobs reproduce`, including compilation; each run in a new process."""
+"""Wall time of `fluxobs reproduce`, including compilation; each run is a new process."""
 
 import subprocess
 import sys

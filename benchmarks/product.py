@@ -1,4 +1,4 @@
-"""Tables of docs/observers.md: yields of the shipped machines with the tolerances of a product.
+"""Print the tables of docs/observers.md: yields of shipped machines with a product's tolerances.
 
 fluxobs campaign examples/campaigns/product.toml --out product
 fluxobs campaign examples/campaigns/product-cage.toml --out product-cage
@@ -19,7 +19,7 @@ from fluxobs.core.plots import write
 
 
 def table(folder: Path) -> None:
-    """Print a Markdown table, machines down and observers across.
+    """Print a Markdown table with a row per machine and a column per observer.
 
     Each cell holds the yield with its interval, the median rms error and the number of scenarios
     that are sure and wrong.

@@ -1,8 +1,8 @@
 """Random drives with all parameters unknown: errors of valid rows and of standard deviations.
 
-Eight machines; random courses with reversals, load steps and stops; errors of R up to 50 % and of
-the magnet flux up to 20 %; an inverter loss of up to 3 % of the DC link with a curve that the
-observer does not know exactly; offsets of 2 % of the rated current; noise of 0.05 to 1 %.
+Eight machines run random courses with reversals, load steps and stops. R is wrong by up to 50 % and
+the magnet flux by up to 20 %. The inverter loses up to 3 % of the DC link, with a curve that the
+observer does not know exactly. Offsets are 2 % of the rated current, noise is 0.05 to 1 %.
 
     python benchmarks/random_drives.py [--drives 16] [--stops 0.25]
 """
@@ -43,7 +43,7 @@ MACHINES: dict[str, tuple[RotatingMachine, float, float]] = {
         *(1e-4, 942.0),
     ),
 }
-#: Curves of inverter loss over phase current: smoothed signs.
+#: Curves of inverter loss over phase current; each curve is a smoothed sign.
 CURVES = {
     "sign": np.sign,
     "tanh": np.tanh,
@@ -87,7 +87,7 @@ class Drive(NamedTuple):
     machine: RotatingMachine
     believed: RotatingMachine
     sample_time: float
-    voltage: Complex  # over the interval that ends at the row; the first is unknown
+    voltage: Complex  # means over the intervals that end at the rows; the first is NaN
     current: Complex
     theta: Array
     inverter: float
@@ -145,9 +145,9 @@ def simulate(name: str, seed: int, stops: float) -> Drive:
 def drive(job: tuple[str, int, float]) -> list[float]:
     """Run one drive.
 
-    Returns the numbers of rows, of valid rows, and of valid rows with errors above 10 and 20
-    degrees; the largest valid error; the shares of valid rows with R, with V_d within three
-    standard deviations.
+    Returns (rows, valid rows, valid rows with errors above 10 degrees, above 20 degrees, largest
+    valid error, share of valid rows with R within three standard deviations, the same share for
+    V_d).
     """
     record = simulate(*job)
     observer = AdaptiveObserver.for_machine(
@@ -183,9 +183,10 @@ def drive(job: tuple[str, int, float]) -> list[float]:
 
 def main(drives: int, stops: float) -> None:
     heading(
-        f"{drives} random drives of each machine, {stops:.0%} of the segments stopped: valid rows, "
-        "share of these with errors above 10 and 20 degrees (target 1e-4, 0), worst; rows on which "
-        "R_s and V_d are within three standard deviations (target 95 %)"
+        f"{drives} random drives of each machine, {stops:.0%} of the segments stopped: share of "
+        "valid rows; share of the valid rows with errors above 10 and 20 degrees (targets 1e-4, "
+        "0); worst valid row; shares of valid rows with R_s and V_d within three standard "
+        "deviations (target 95 %)"
     )
     all_rows = []
     with ProcessPoolExecutor() as pool:

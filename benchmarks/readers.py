@@ -146,8 +146,8 @@ def main() -> None:
             assert rows == options.rows
             parquet_peak = peak if parquet_peak is None else parquet_peak
             print(
-                f"    {suffix:9s} {peak:6.0f} MB, {peak / parquet_peak:4.2f} times Parquet's; "
-                f"{rows / seconds / 1e6:5.2f} million rows per second of processor time"
+                f"    {suffix:9s} {peak:6.0f} MB, {peak / parquet_peak:4.2f} times Parquet's "
+                f"memory; {rows / seconds / 1e6:5.2f} million rows per second of processor time"
             )
             path.unlink()
 

@@ -1,4 +1,4 @@
-"""Imperfections of a real motor, one at a time: their effect on plain and adaptive observer.
+"""Effect of a real motor's imperfections, one at a time, on the plain and the adaptive observer.
 
 Prints the table of docs/benchmarks.md, "What else a real motor has".
 """
@@ -31,7 +31,10 @@ CASES = {
 
 def main() -> None:
     machine = example("pmsm-2kw2")
-    print("2.2 kW machine, 4 s: load steps, loaded reversal; 1 % offset, 0.3 % noise; degrees")
+    print(
+        "2.2 kW machine, 4 s with load steps and loaded reversal, 1 % offset, 0.3 % noise: error "
+        "[degrees]"
+    )
     print(f"{'':32s}{'plain: rms':>11s}{'valid':>7s}{'most':>7s}{'stds':>6s}", end="")
     print(f"{'adapt.: rms':>11s}{'valid':>7s}{'most':>7s}{'stds':>6s}  R, V_d")
     for name, imperfection in CASES.items():

@@ -1,4 +1,4 @@
-"""Starts with a known angle and without: rotation until valid, and the effect of a wrong angle."""
+"""Starts with known and unknown angle: rotation until valid, and the effect of a wrong angle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ H, ROWS, TRIALS, PARTS = 1e-4, 4000, 12, 16
 MACHINES = ("ipm-2kw2", "ipm-5kw6", "synrm-6kw7", "servo-400w", "induction-2kw2")
 #: Electrical speed after a run-up of 0.13 s [rad/s]; load as a share of the rated current.
 TOP, LOAD = 2 * np.pi * 60, 0.4
-#: Name → error of the given angle (None: drawn) and its stated standard deviation [rad].
+#: Name → (error of the given angle (None: drawn), stated standard deviation [rad]).
 SEEDS: dict[str, tuple[float | None, float] | None] = {
     "unknown angle": None,
     "3 degrees": (None, 0.05),
@@ -31,7 +31,7 @@ def degrees(angle: Any) -> Any:
 def trial(
     machine: RotatingMachine, observer: Any, seeding: tuple[float | None, float] | None, seed: int
 ):
-    """Return rotation until valid, largest valid error [°], number of sure and wrong rows."""
+    """Return (rotation until valid [°], largest valid error [°], number of sure and wrong rows)."""
     rng = np.random.default_rng(seed)
     rated_current = machine.rated_current or 1.0
     i_d = machine.magnetizing_current or (0.0 if machine.magnets else 0.5 * rated_current)
@@ -61,7 +61,8 @@ def trial(
 
 def main() -> None:
     heading(
-        f"Start at rest, {TRIALS} angles: rotation until valid (median, largest) and worst error"
+        f"Start at rest from {TRIALS} angles: rotation until valid (median, largest) and worst "
+        "error"
     )
     print("    | machine | observer | start | valid after | worst | rows sure and wrong |")
     print("    |---|---|---|---|---|---|")

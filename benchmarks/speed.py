@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def together(machine: SurfacePMSM, u: Array, i: Array) -> None:
-    """Compare a batch with its records run one by one, on one core.
+    """Compare a batch with single runs of its records, on one core.
 
     The eleven outputs of long records do not fit into the caches.
     """
@@ -63,8 +63,8 @@ def together(machine: SurfacePMSM, u: Array, i: Array) -> None:
                 1e9 * min(times) / BATCH / rows for times in (batch_times, single_times)
             )
             print(
-                f"    {rows} rows, {precision}: {batch_ns:.0f} ns per sample and record, one by "
-                f"one {single_ns:.0f} ns: {single_ns / batch_ns:.1f} times"
+                f"    {rows} rows, {precision}: {batch_ns:.0f} ns per sample and record; in single "
+                f"runs {single_ns:.0f} ns, {single_ns / batch_ns:.1f} times as long"
             )
 
 

@@ -1,4 +1,4 @@
-"""Wall time of `fluxobs estimate` on a CSV of 4000 rows; each run in a new process."""
+"""Wall time of `fluxobs estimate` on a CSV of 4000 rows; each run is a new process."""
 
 from __future__ import annotations
 

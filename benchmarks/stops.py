@@ -1,8 +1,8 @@
-"""Stops under load: a servo at 20 kHz for 17 minutes, random speed and load, a quarter stopped.
+"""Stops under load: a servo runs 17 minutes at 20 kHz with random speed, load and stops.
 
 Stops are the hardest case for a sensorless observer: at standstill the flux does not depend on the
-rotor, and the voltage is only the resistive drop. An event is a run of valid rows with errors above
-ten degrees.
+rotor, and the voltage is only the resistive drop. A quarter of the segments is stopped. An event is
+a sequence of valid rows with errors above ten degrees.
 
     python benchmarks/stops.py [--minutes 17]
 """
@@ -30,7 +30,7 @@ RUNS = [
 
 
 def attempt(seed: int) -> list[tuple[int, int, float]]:
-    """Return number of valid rows, number of events and worst valid row for each of RUNS."""
+    """Return (number of valid rows, number of events, worst valid error) for each of RUNS."""
     rng = np.random.default_rng([17, seed])
     speed, load = course(rng, H, 0.25)
     current = MACHINE.rated_current
@@ -68,8 +68,8 @@ def attempt(seed: int) -> list[tuple[int, int, float]]:
 def main(minutes: float) -> None:
     drives = round(60 * minutes / DURATION)
     heading(
-        f"Stops under load, {drives * DURATION / 60:.0f} minutes at 20 kHz: share valid, events "
-        "with errors above ten degrees, worst valid row (target: 0 events)"
+        f"Stops under load, {drives * DURATION / 60:.0f} minutes at 20 kHz: share of valid rows, "
+        "events with errors above ten degrees, worst valid row (target: 0 events)"
     )
     with ProcessPoolExecutor() as pool:
         results = np.array(list(pool.map(attempt, range(drives))))

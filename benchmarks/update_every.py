@@ -1,4 +1,4 @@
-"""Cost of a step in each M-th interrupt: mean instructions, and position error under noise."""
+"""A step in every M-th interrupt: mean number of instructions, and position error under noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SAMPLE_TIME, NOISE = 5e-5, 0.005
 
 
 def main() -> None:
-    heading("A step every M-th interrupt at 20 kHz, noise of 0.5 % of rated current")
+    heading("A step in every M-th interrupt at 20 kHz, noise of 0.5 % of the rated current")
     build = next(
         entry for entry in read_costs()["plain"]["builds"] if entry["name"] == "Cortex-M4F, -O2"
     )

@@ -30,7 +30,8 @@ def select(row: Trace) -> tuple[object, ...]:
 
 def main() -> None:
     heading(
-        f"Largest error of a valid row [degrees], lanes of {LANES} above 15, share of valid rows"
+        f"Largest error of a valid row [degrees], number of the {LANES} lanes above 15 degrees, "
+        "share of valid rows"
     )
     cases = (
         ("noise 0.3 %, offsets 1 %", 1.0, 0.0),

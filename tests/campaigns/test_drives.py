@@ -1,4 +1,4 @@
-"""From scenario to drive and from record to row: all quantities in their units."""
+"""Drives have all quantities of their scenario, and rows have the scores of their record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A campaign's report for drawn rows, compared word by word with the expected one."""
+"""The report of a campaign with drawn rows equals the expected report."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ OBSERVERS = ("plain", "adaptive", "gradient (Ortega, Lee)")
 
 
 def drawn(specification):
-    """Return rows whose errors depend on R and gain; some of the last observer are never valid."""
+    """Return rows with errors from R and gain; some rows of the last observer are never valid."""
     rng, rows = np.random.default_rng(3), []
     for k, machine in enumerate(specification.machines):
         for number in range(k * specification.scenarios, (k + 1) * specification.scenarios):
@@ -64,7 +64,7 @@ def campaign(machines, scenarios, **fields):
 
 
 def test_quantities_are_shown_by_their_largest_share():
-    """The largest share of any observer counts; the largest come first, up to the limit."""
+    """Pairs show the quantities with the largest share of any observer, the largest first."""
     specification = campaign(MACHINES[:1], 400).specification
     shares = {
         "plain": {"R": -0.02, "L_s": 0.1, "noise": -0.01},

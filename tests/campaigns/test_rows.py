@@ -1,4 +1,4 @@
-"""Rows: independent of their batch, and with the right measures."""
+"""Rows do not depend on their batch and have the right measures."""
 
 from __future__ import annotations
 

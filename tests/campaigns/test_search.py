@@ -75,7 +75,7 @@ def test_no_valid_row_is_an_error():
 
 @pytest.mark.parametrize("beta", [2.0, 3.0, 4.0])
 def test_a_rare_failure_is_estimated_within_its_standard_deviation(beta):
-    """Failure beyond a plane at the distance beta: its probability is that of a normal tail."""
+    """Failures lie beyond a plane at the distance beta; their probability is a normal tail."""
     direction = np.array([1.0, 2.0, 0.0, -1.0]) / np.sqrt(6)
 
     def evaluate(scores, like):
@@ -147,13 +147,13 @@ def test_interval_of_a_rare_failure(rare, low, high):
 @pytest.mark.parametrize(("effective", "unreliable"), [(9.9, True), (10.0, False)])
 def test_a_rare_failure_in_words(effective, unreliable):
     text = str(Rare(0.0123, 0.001, 50, 100, effective))
-    start = "0.012 (0.01 to 0.014), from 50 failures, effectively 10, among 100 scenarios"
+    start = "0.012 (0.01 to 0.014), from 50 failures (effective number 10) among 100 scenarios"
     assert text.startswith(start)
     assert text.endswith("increase --budget") == unreliable
 
 
 def watched(error, campaign=None, **options):
-    """Return scores and borrowed courses of each generation, and the estimate."""
+    """Return ((scores, borrowed courses) of each generation, estimate)."""
     generations = []
 
     def evaluate(scores, like):
@@ -269,7 +269,7 @@ def test_the_search_begins_within_seven_tenths_of_a_deviation():
 
 
 def test_of_equal_errors_the_likely_one_is_preferred():
-    """A ridge of equal errors along the second axis: the search stays near its middle."""
+    """Errors are equal along the second axis; the search stays near the middle of this axis."""
     generations = []
 
     def evaluate(scores, like):

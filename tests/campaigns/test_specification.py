@@ -1,4 +1,4 @@
-"""Specifications: their checks, and the scenarios drawn from them."""
+"""Checks of specifications, and draws of scenarios from specifications."""
 
 from __future__ import annotations
 
@@ -299,7 +299,7 @@ def test_the_factor_gives_the_correlations():
 
 
 def test_correlated_quantities_of_a_drive():
-    """Normal scores z of a point; b = r a + √(1 − r²) z."""
+    """With normal scores z of a point, b = r a + √(1 − r²) z."""
     vary = {"L": {"normal": [0, 1]}, "R": {"normal": [0, 1]}, "theta_e": 0.0}
     s = specification(vary=vary, correlation={"R, L": 0.6})
     values = at_point(s, stats.norm.cdf([0.5, 2.0]))
@@ -377,7 +377,10 @@ def test_observers_with_all_settings():
     [
         ({"scenarios": 10_000_001}, "scenarios: input should be less than or equal to 10000000"),
         ({"seed": -1}, "seed: input should be greater than or equal to 0"),
-        ({"machines": ["servo-400w", "servo-400w"]}, "machines: each may be given only once"),
+        (
+            {"machines": ["servo-400w", "servo-400w"]},
+            "machines: each machine may be given only once",
+        ),
         ({"limits": [{"good": 1.1}]}, "good: input should be less than or equal to 1"),
         ({"limits": [{"good": 0.9, "machine": "servo"}]}, "limits: no machine 'servo'"),
         ({"good": {"losses": -1}}, "losses: input should be greater than or equal to 0"),

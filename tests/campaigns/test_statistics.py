@@ -1,4 +1,4 @@
-"""Yields, indices and pairs, against closed forms."""
+"""Yields, indices and pairs equal closed forms."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_limits_apply_to_their_observer_and_machine():
 
 
 def ishigami(rows: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return inputs and values of the Ishigami function, with the known indices 0.314, 0.442, 0."""
+    """Return inputs and values of the Ishigami function, which has the indices 0.314, 0.442, 0."""
     x = np.random.default_rng(seed).uniform(-np.pi, np.pi, (rows, 3))
     y = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
     return x, y
@@ -162,7 +162,7 @@ def test_a_limit_of_good_from_both_sides(field, column, limit, best, worst):
         ({"valid": 0.9}, "valid on 90 % of the rows"),
         ({"first_valid": 0.25}, "valid after 0.25 s"),
         ({"losses": 3}, "lost 3 times at most"),
-        ({}, "ever valid"),
+        ({}, "valid at least once"),
     ],
 )
 def test_each_limit_in_words(limits, text):
@@ -209,7 +209,7 @@ def test_without_a_valid_row_the_error_is_that_of_an_unknown_angle():
 
 
 def by_bins(x, y, bins):
-    """ε² of one-way analysis of variance (Kelley), over bins of equally many rows."""
+    """Return ε² of one-way analysis of variance (Kelley) over bins with equally many rows."""
     groups = np.array_split(y[np.argsort(x, kind="stable")], bins)
     f = stats.f_oneway(*groups).statistic
     between, within = bins - 1, len(y) - bins
@@ -230,7 +230,7 @@ def test_few_rows_have_two_bins():
 
 
 def test_few_values_have_one_bin_each():
-    """Three values of unequal numbers; a fourth makes four bins of equally many rows."""
+    """Three values with unequal counts are three bins; a fourth value gives four equal bins."""
     rng = np.random.default_rng(5)
     x = np.repeat([0.0, 1.0, 2.0, 3.0], [10, 20, 20, 30])
     y = x + rng.standard_normal(80)

@@ -1,4 +1,4 @@
-"""`fluxobs campaign`: from a specification to a report, and the rerun of a scenario."""
+"""`fluxobs campaign` makes a report from a specification, and repeats a scenario."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ observer = "adaptive"
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a campaign that met its limit."""
+    """Return the folder of a campaign that met its limit."""
     folder = tmp_path_factory.mktemp("campaign")
     (folder / "trial.toml").write_text(SPECIFICATION)
     run = fluxobs(
@@ -125,7 +125,7 @@ def test_a_scenario_is_rerun(done, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["campaign", "{folder}/trial.toml"], "--out FOLDER is missing"),
+        (["campaign", "{folder}/trial.toml"], "--out is missing"),
         (["campaign", "{folder}/trial.toml", "--rerun", "3"], "give the folder of the campaign"),
         (["campaign", "{folder}/out", "--rerun", "24"], "no scenario 24; give 0 to 23"),
         (["campaign", "{folder}/out", "--rerun", "2", "--observer", "ekf"], "plain, adaptive"),
@@ -171,7 +171,7 @@ def test_unusable_options_are_named(done, arguments, message):
 
 @pytest.fixture
 def copy(done, tmp_path) -> Path:
-    """Copy of the finished campaign, to be damaged."""
+    """Return a copy of the finished campaign, which a test may damage."""
     shutil.copytree(done / "out", tmp_path / "out")
     return tmp_path / "out"
 
@@ -211,7 +211,7 @@ def test_a_campaign_that_cannot_be_repeated_can_be_read(copy, tmp_path):
     path.write_text(json.dumps(facts))
     run = fluxobs("campaign", copy, folder=tmp_path)
     assert run.returncode == 0
-    assert "Warning: its rows cannot be repeated: servo-400w changed." in run.stderr
+    assert "Warning: the campaign's rows cannot be repeated: servo-400w changed." in run.stderr
     run = fluxobs("campaign", copy, "--rerun", "3", folder=tmp_path)
     assert run.returncode == 2
     assert "cannot be repeated: servo-400w changed" in run.stderr
@@ -256,6 +256,6 @@ def test_ctrl_c_keeps_finished_scenarios(tmp_path):
     interrupted = time.monotonic()
     _, stderr = running.communicate(timeout=30)
     assert running.returncode == 130
-    assert "the same command resumes" in stderr
+    assert "run the same command to resume" in stderr
     assert time.monotonic() - interrupted < 5
     assert list(tmp_path.glob("o/rows/*.parquet"))

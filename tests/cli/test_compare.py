@@ -15,11 +15,11 @@ from support.records import steady
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("compare")
-    rows = 12000  # as many as the scenario below, so that JAX compiles the observers once
+    rows = 12000  # like the scenario below: JAX compiles once
     data = steady(example("pmsm-2kw2"), 1.25e-4, 300.0, rows, 4j, 0.2, 2.0, noise=0.02, theta0=0.0)
     columns = {
         "t": np.arange(rows) * 1.25e-4,
-        # Each row holds the voltage that acts from it to the next.
+        # Each row holds the voltage that acts from this row to the next row.
         "u_alpha": np.append(data.voltage[1:, 0], 0.0),
         "u_beta": np.append(data.voltage[1:, 1], 0.0),
         "i_alpha": data.current[:, 0],

@@ -15,14 +15,14 @@ from support.records import steady
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Logs of a levitation (12 s at 500 Hz, noise 0.1 mA and 1 mV) and of a reluctance motor."""
+    """Return logs of a levitation (12 s at 500 Hz, noise 0.1 mA, 1 mV) and a reluctance motor."""
     path = tmp_path_factory.mktemp("logs")
     scenario, machine = record(SCENARIOS["S5"], quick=True), example("maglev-knospe")
     decimation, rows = 2, 6000
     indices = np.arange(rows + 1) * decimation
     sums = np.cumsum(scenario.volt_seconds, axis=0)[indices]
     h, current = decimation * scenario.h, scenario.current
-    # Mean voltage from each row to the next, as a drive commands it.
+    # Mean voltage from each row to the next row, as a drive commands.
     mean = np.array([current[a : a + decimation + 1].mean(axis=0) for a in indices[:-1]])
     voltage = (np.diff(sums, axis=0) / h + mean @ machine.R.T) @ np.linalg.inv(machine.B.T)
     noise = np.random.default_rng(1).standard_normal((2, rows, 2))
@@ -162,7 +162,7 @@ def test_machine_file_of_a_levitation(tmp_path):
 
 
 def test_without_jax_reproduce_says_what_to_install(tmp_path):
-    """With JAX hidden, reproduce names the extra to install."""
+    """Without JAX, `fluxobs reproduce` names the extra to install."""
     script = (
         "import sys, importlib.util as u\n"
         "find = u.find_spec\n"

@@ -1,4 +1,4 @@
-"""Logs on the command line: mistakes of newcomers and the messages they get."""
+"""Logs on the command line: usual mistakes and their messages."""
 
 import json
 import os
@@ -57,7 +57,7 @@ def test_names_are_shown_literally(folder):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
 def test_any_name_of_a_log_is_read_and_shown(folder):
-    """Bytes that are no text, a formula, a terminal escape, a line break."""
+    """Names contain invalid text, a formula, a terminal escape and a line break."""
     log = os.fsdecode(b"\x1b[31m$\\frac$\ncaf\xe9.csv")
     shown = "\\x1b[31m$\\frac$\ncaf\\xe9.csv"
     (folder / log).write_text(DEMO.head(2500).write_csv())
@@ -71,7 +71,7 @@ def test_any_name_of_a_log_is_read_and_shown(folder):
     facts = json.loads(fluxobs("estimate", log, *read, "--json", folder=folder).stdout)
     assert facts["rows"] == 2500
     assert facts["written"] == [f"{log}.csv"]
-    (folder / log).write_text(DEMO.head(1000).write_csv())  # the other commands take longer
+    (folder / log).write_text(DEMO.head(1000).write_csv())  # shorter: these commands are slower
     for arguments in (
         ("check", *given, "--report", "check.svg"),
         ("identify", *given, "--out", "found.toml", "--report", "identify.html"),

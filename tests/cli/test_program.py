@@ -120,7 +120,7 @@ def test_exit_codes_of_the_process(tmp_path):
 
 
 def test_the_library_is_imported_quickly():
-    """With warm caches, the import takes well below half a second."""
+    """With warm caches, the import needs far less than half a second."""
     script = (
         "import time; start = time.perf_counter()\n"
         "import numpy, pydantic; middle = time.perf_counter()\n"

@@ -66,7 +66,7 @@ def test_reluctance_machines_ignore_half_a_turn_and_nan_counts_as_half_a_turn():
 
 
 def test_bound_equals_the_information_of_all_samples():
-    """R = 0: the recursion against the inverse of the summed information of all samples."""
+    """For R = 0, the recursion equals the inverse of the summed information of all samples."""
     h, L, noise, psi, omega = 1e-3, 0.03, 0.02, 0.5, 40.0
     theta = 0.4 + omega * h * np.arange(200)
     drift_prior = 0.2
@@ -74,7 +74,7 @@ def test_bound_equals_the_information_of_all_samples():
     variance = (L * noise) ** 2
     for rows in (50, 200):
         information = np.diag(1 / np.array([psi, psi, drift_prior, drift_prior, psi]) ** 2)
-        # Unknowns at the first row, and the regressor of each later row.
+        # The unknowns apply at the first row; g is the regressor of row k.
         for k in range(rows):
             c, s, age = np.cos(theta[k]), np.sin(theta[k]), k * h
             g = np.array([c, s, age * c, age * s, -1.0])
@@ -140,7 +140,7 @@ def test_required_scenarios_exist():
 
 
 def test_records_match_their_scenario():
-    """Biases, noise and clipped currents are in the record; the drive follows its references."""
+    """The record contains biases, noise and clipped currents; the drive tracks the references."""
     run, machine, rated = run_scenario(scenario("current-bias-plus"), "pmsm-2kw2")
     offset = np.mean(run.trace.measured_current - run.trace.current)
     assert abs(offset) == pytest.approx(0.05 * machine.rated_current, rel=0.01)
@@ -192,7 +192,7 @@ def test_the_least_squares_is_at_the_bound_where_others_have_a_bias(both_biases)
 def test_report(both_biases, tmp_path):
     text = report.verdict(both_biases)
     assert "times the Cramér-Rao bound" in text
-    assert "the best, before" in text
+    assert "The least squares is the best observer" in text
     assert report.table(both_biases).row_count == len(both_biases.results)
     report.draw(both_biases, tmp_path / "one.png")
     report.draw_summary([both_biases, both_biases], tmp_path / "all.png")
@@ -208,6 +208,6 @@ def test_report(both_biases, tmp_path):
 
 
 def test_scenarios_that_violate_the_model_state_a_limit():
-    """Their `limit` explains the error of the least squares."""
+    """The `limit` of a scenario explains the error of the least squares."""
     for name in ("R-50", "dead-time", "bias-jumps", "gain-mismatch", "low-speed-1"):
         assert SCENARIOS[name].limit

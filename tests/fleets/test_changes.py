@@ -1,4 +1,4 @@
-"""Changes and trends: found at the right place, with the promised rate of false alarms."""
+"""Changes and trends are found at the right place, with the stated rate of false alarms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DAY = 86400.0
 
 
 def brute_force(values, variance):
-    """Return the best of all divisions of a short series."""
+    """Return the best division of a short series, by trying all divisions."""
     n, best = len(values), (np.inf, None)
     for count in range(n // LEAST):
         for inner in combinations(range(LEAST, n - LEAST + 1), count):
@@ -158,7 +158,7 @@ def test_scatter_and_trend_need_five_values():
 
 
 def test_second_differences_as_large_as_their_stds_are_no_scatter():
-    """Zigzag by ±a: the second difference is 2a, its variance 1.5 std²."""
+    """In a zigzag of ±a, the second difference is 2a and its variance is 1.5 std²."""
     a = np.sqrt(stats.chi2(1).median() * 1.5) / 2
     zigzag = a * (-1.0) ** np.arange(9)
     assert scatter_of(np.arange(9.0), 0.999 * zigzag, np.ones(9)) == 0.0
@@ -168,7 +168,7 @@ def test_second_differences_as_large_as_their_stds_are_no_scatter():
 
 @pytest.mark.parametrize("n", [8, 30, 100])
 def test_the_penalty_has_a_false_alarm_rate_of_one_percent(n):
-    """Two-sided Student's t, over n places for the change, with 0.37 n degrees of freedom.
+    """The penalty is two-sided Student's t for n places, with 0.37 n degrees of freedom.
 
     0.37 is the efficiency of the median absolute deviation.
     """
@@ -220,7 +220,7 @@ def test_a_line_replaces_steps_that_fit_no_better():
 
 
 def test_each_step_of_a_staircase_costs_a_penalty():
-    """A line may fit worse than three steps by two penalties."""
+    """A line is chosen if it fits at most two penalties worse than three steps."""
     t = np.arange(16.0)
     values = np.repeat([0.0, 1.0, 2.0, 3.0], 4)
     line = np.polynomial.Polynomial.fit(t, values, 1)

@@ -1,4 +1,4 @@
-"""A fleet's report from the table of its logs: remarks, page and pictures as expected."""
+"""Remarks, page and pictures of a fleet's report equal the expected ones."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -15,7 +15,7 @@ START = datetime(2025, 3, 1, tzinfo=UTC)
 
 
 def table():
-    """Six drives: one warms up, one magnet jumps, one ages, one drive differs from the others."""
+    """Return six drives: one warms up, one magnet jumps, one ages, one differs from the rest."""
     rng, rows = np.random.default_rng(5), []
     for d, drive in enumerate("abcdef"):
         for k in range(12):

@@ -1,4 +1,4 @@
-"""Remarks on a fleet, and its command."""
+"""Remarks on a fleet, and the command `fluxobs fleet`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ START = datetime(2024, 1, 1, tzinfo=UTC)
 
 
 def table(**changes) -> pl.DataFrame:
-    """Eight drives, one log per week; `changes` maps drive to (resistance, flux) over k."""
+    """Eight drives, one log per week; `changes` maps a drive to (resistance, flux) of week k."""
     rng, rows = np.random.default_rng(3), []
     for d in range(8):
         drive = f"unit{d}"
@@ -57,7 +57,7 @@ def test_limits_are_relative_to_the_first_level_of_a_drift():
     assert flux.limits == pytest.approx((0.95 * flux.first, 1.05 * flux.first))
     assert flux.crossed
     assert "is outside" in flux.remarks[0]
-    assert not any("reaches its limit" in text for text in flux.remarks)
+    assert not any("reach the limit" in text for text in flux.remarks)
 
 
 def test_two_limits_of_one_parameter_are_refused():
@@ -103,7 +103,7 @@ def test_heat_ageing_and_another_motor():
     assert "2024-05-06" in jump
     trend = followed["unit4", "psi_f"].remarks[0]
     assert re.match(r"magnet flux drifts by -65\d µWb ± \d", trend)
-    assert "reaches its limit in " in trend
+    assert "will reach the limit in " in trend
     other = followed["unit7", "resistance"]
     assert other.crossed
     assert "is outside 300 mΩ to 450 mΩ" in other.remarks[0]
@@ -151,7 +151,7 @@ def test_the_command(tmp_path: Path):
     assert "no columns" in page
     run = fluxobs("fleet", tmp_path, "--limit", "inverter_voltage=0..2", folder=tmp_path)
     assert run.returncode == 1
-    assert "Limit on inverter's voltage loss: no log identifies it." in run.stdout
+    assert "Limit on inverter's voltage loss: no log identifies this parameter." in run.stdout
     run = fluxobs("fleet", tmp_path, "--json", folder=tmp_path)
     assert run.returncode == 0
     assert len(json.loads(run.stdout)["followed"]) == 16

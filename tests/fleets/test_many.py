@@ -1,4 +1,4 @@
-"""Many logs: each to its file and row; nothing is done twice; a bad log stops nothing."""
+"""Each of many logs gets a file and a row, once; a bad log does not stop the other logs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ HALF = 2500
 
 @pytest.fixture
 def logs(tmp_path: Path) -> Path:
-    """Two drives with one log each, and files that are not logs."""
+    """Create two drives with one log each, and files that are not logs."""
     folder = tmp_path / "logs"
     lines = LOG.read_text().splitlines(keepends=True)
     for name in ("a/run_2024-05-01.csv", "b/run_2024-06-02_1330.csv"):
@@ -83,7 +83,7 @@ def test_logs_are_estimated_again_only_after_changes(logs, tmp_path):
     first = stamps(out)
     assert run(logs, out, **options).equals(table)
     assert stamps(out) == first
-    (logs / "a" / "run_2024-05-01.csv").touch()  # the same content, written again
+    (logs / "a" / "run_2024-05-01.csv").touch()  # new time, same content
     assert run(logs, out, **options).equals(table)
     assert stamps(out) == first
     log = logs / "a" / "run_2024-05-01.csv"
@@ -226,7 +226,7 @@ def test_a_name_stays_in_the_folder_of_the_results(logs, tmp_path, monkeypatch):
     assert sources(["../../logs"]) == direct
     logs_of_both = sources(["../../logs", below])
     assert not any(".." in log.name for log in logs_of_both)
-    later = sources([below], root=f"{logs.as_posix()}/")  # outside the folder of the first run
+    later = sources([below], root=f"{logs.as_posix()}/")  # not in the first run's folder
     assert later[0].name == f"@{below.as_posix()}/c.csv"
     assert later[0].drive == "y"
 
@@ -333,7 +333,7 @@ def test_the_command(logs, tmp_path):
     )
     assert json.loads(process.stdout)["logs"] == 3
     for arguments, message in (
-        (["logs"], "--out FOLDER is missing"),
+        (["logs"], "--out is missing"),
         (["logs", "--out", "x.parquet"], "for many logs, give a folder"),
         (["logs", "--out", "p", "--report", "r.html"], "--report works only with one log"),
         (["logs/a/run_2024-05-01.csv", "--retry", "failed"], "--retry works only with many logs"),

@@ -1,4 +1,4 @@
-"""Remarks on the drives of a fleet, against closed forms; limits from both sides."""
+"""Remarks on the drives of a fleet equal closed forms; limits are tested on both sides."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LEVEL = Course((Segment(0, 4, 1.0, 0.1),), 0.0, 0.0, np.inf)
 
 
 def followed(drive="a", name="resistance", course=LEVEL, **fields) -> Followed:
-    """One parameter over four logs, a day apart."""
+    """Return one parameter over four daily logs."""
     times = [START + timedelta(days=k) for k in range(4)]
     logs = [f"{drive}/{k}.csv" for k in range(4)]
     defaults = {"limits": None, "remarks": (), "crossed": False}
@@ -65,7 +65,7 @@ def test_a_remark_names_the_first_crossing_and_counts_the_others():
     values = np.array([2.5, 5.0, 2.5, 6.0, 7.0])
     logs = list("abcde")
     (text,) = _limit_remarks("resistance", logs, values, np.zeros(5), (2.0, 3.0))
-    assert text == "resistance 5 Ω is outside 2 Ω to 3 Ω in b, and 2 more"
+    assert text == "resistance 5 Ω is outside 2 Ω to 3 Ω in b and 2 more logs"
     (text,) = _limit_remarks("resistance", logs[:3], values[:3], np.zeros(3), (2.0, 3.0))
     assert text.endswith("in b")
 
@@ -125,7 +125,7 @@ T = np.array([when.timestamp() for when in followed().times])
 
 
 def drifting(slope: float, std: float = 1e-12) -> Course:
-    """A trend per year through 1.0, in the middle of four days."""
+    """Return a course with this trend per year that passes 1.0 in the middle of four days."""
     return Course((Segment(0, 4, 1.0, 0.1),), 0.0, slope / YEAR, std)
 
 
@@ -153,13 +153,13 @@ def test_a_trend_in_words():
 def test_when_a_trend_reaches_its_limit(slope, bounds, month):
     (text,) = _trend_remarks("psi_f", T, drifting(slope), bounds)
     if month is None:
-        assert "reaches" not in text
+        assert "reach" not in text
     else:
-        assert text.endswith(f"per year; it reaches its limit in {month}")
+        assert text.endswith(f"per year; it will reach the limit in {month}")
 
 
 def test_the_trend_is_extrapolated_from_the_end_of_the_last_segment():
-    """Days 0 to 9; the last six have the trend, 0.1 per day around 1.0: 1.25 on the last day."""
+    """The last six of ten days have a trend of 0.1 per day around 1.0: 1.25 on the last day."""
     t = START.timestamp() + 86400.0 * np.arange(10)
     slope = 0.1 / 86400
     course = Course((Segment(0, 4, 5.0, 0.1), Segment(4, 10, 1.0, 0.1)), 0.0, slope, 1e-12)
@@ -194,13 +194,13 @@ def fleet_of(outlier: float, std: float) -> list[Followed]:
 @pytest.mark.parametrize(("deviations", "unlike"), [(4.95, False), (5.05, True)])
 @pytest.mark.parametrize("std", [0.0, 0.2])
 def test_a_drive_differs_beyond_five_deviations(deviations, unlike, std):
-    """Median 1.1, median absolute deviation 0.1: a standard deviation of 0.14826."""
+    """The median is 1.1, the median absolute deviation 0.1, the standard deviation 0.14826."""
     outlier = 1.1 + deviations * np.hypot(0.14826, std)
     remarks_of_drives = [item.remarks for item in _mark_unlike(fleet_of(outlier, std))]
     assert remarks_of_drives[:4] == [()] * 4
     assert bool(remarks_of_drives[4]) == unlike
     if unlike:
-        assert remarks_of_drives[4][0].endswith("differs from the other drives, 1.1 Ω ± 148 mΩ")
+        assert remarks_of_drives[4][0].endswith("differs from the other drives (1.1 Ω ± 148 mΩ)")
 
 
 def test_four_or_equal_drives_do_not_differ():
@@ -230,7 +230,7 @@ def test_bounds_must_be_ascending(text):
 
 
 def test_a_limit_allows_for_the_scatter_of_the_drive():
-    """A zigzag of ±0.1 with small stds: the limit is crossed by the scatter only."""
+    """In a zigzag of ±0.1 with small stds, only the scatter crosses the limit."""
     logs = [
         {
             "log": str(k),
@@ -248,7 +248,7 @@ def test_a_limit_allows_for_the_scatter_of_the_drive():
     assert not inside.crossed
     assert inside.course.scatter > 0.06
     assert beyond.crossed
-    assert beyond.remarks[0].endswith("in 0, and 19 more")
+    assert beyond.remarks[0].endswith("in 0 and 19 more logs")
 
 
 def test_only_identified_values_are_followed():
@@ -277,8 +277,14 @@ def test_parameters_are_in_the_order_of_the_list():
     ("count", "text"),
     [
         (0, ""),
-        (1, "1 log has no time and is ignored: put the date into the name, 2024-05-17."),
-        (2, "2 logs have no time and are ignored: put the date into the name, 2024-05-17."),
+        (
+            1,
+            "1 log has no time and is ignored: write a date like 2024-05-17 into the name.",
+        ),
+        (
+            2,
+            "2 logs have no time and are ignored: write a date like 2024-05-17 into the name.",
+        ),
     ],
 )
 def test_logs_without_a_time(count, text):
@@ -290,13 +296,15 @@ def test_changes_need_six_logs_of_a_drive():
     log, failed = {"drive": "a"}, {"drive": "a", "failed": "no columns"}
     assert describe_too_few(rows(*[log] * 6, failed)) == ""
     text = describe_too_few(rows(*[log] * 5, {"drive": "b"}, failed))
-    assert text.startswith("No drive has more than 5 logs; changes need 6. ")
+    assert text.startswith("No drive has more than 5 logs; finding changes needs 6 logs. ")
     assert describe_too_few(rows(failed)).startswith("No drive has more than 0 logs")
 
 
 def test_limits_on_unidentified_parameters():
     limits = [read_limit("resistance=10%"), read_limit("psi_f=10%")]
-    assert untold([followed()], limits) == ["limit on magnet flux: no log identifies it"]
+    assert untold([followed()], limits) == [
+        "limit on magnet flux: no log identifies this parameter"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Run a campaign: from its specification to its rows."""
+"""Run a campaign: simulate its scenarios and store its rows."""
 
 from __future__ import annotations
 
@@ -32,14 +32,15 @@ def campaign(
     ----------
     specification : Specification, or the path of a TOML file
     out : path
-        Folder of the results. If it holds the same campaign, only missing scenarios are simulated.
+        Folder of the results. If the folder holds this campaign, only missing scenarios are
+        simulated.
     workers : int, optional
         Number of processes; default one per processor.
     scheduler : str
         "local" (Dask if it is installed), "pool" (a pool of processes), or the address of a Dask
         scheduler whose workers see `out` under the same path.
     progress : callable
-        Called with the number of finished scenarios and the number of all.
+        Called with the numbers of finished scenarios and of all scenarios.
 
     Returns
     -------
@@ -48,8 +49,8 @@ def campaign(
     Raises
     ------
     FluxobsError
-        The specification is impossible; the folder holds something else or is in use; a file
-        cannot be written; the workers cannot be started.
+        The specification is impossible; the folder holds other files or is in use; a file cannot be
+        written; the workers cannot be started.
     """
     if isinstance(specification, Specification):
         checked = specification
@@ -78,7 +79,7 @@ def fill(
     scheduler: str,
     progress: Callable[[int, int], Any],
 ) -> None:
-    """Compute the missing chunks of a dataset; `task` writes one and returns its duration [s]."""
+    """Compute the missing chunks of a dataset; `task` writes a chunk, returns the time [s]."""
     count = total(dataset.specification)
     finished = count - dataset.lacking()
     progress(finished, count)
@@ -91,7 +92,7 @@ def fill(
 
 
 def _chunk_size(specification: Specification) -> int:
-    """Return the scenarios per chunk; check all machines and observers before workers start."""
+    """Check all machines and observers before workers start; return the scenarios per chunk."""
     from .drives import cell_of
     from .observed import check_observer
     from .simulated import lanes_for

@@ -1,4 +1,4 @@
-"""One chunk of a campaign: the task of a worker."""
+"""The task of a worker: one chunk of a campaign."""
 
 from __future__ import annotations
 

@@ -11,16 +11,16 @@ from .specification import Specification
 #: Columns of a row besides number, machine, observer and the drawn quantities; units in brackets.
 MEASURES = {
     "rms": "rms position error on the scored valid rows [rad]",
-    "p50": "median absolute position error on these rows [rad]",
-    "p99": "99th percentile of the absolute position error on these rows [rad]",
-    "worst": "largest absolute position error on these rows [rad]",
+    "p50": "median absolute position error on the scored valid rows [rad]",
+    "p99": "99th percentile of the absolute position error on the scored valid rows [rad]",
+    "worst": "largest absolute position error on the scored valid rows [rad]",
     "rms_all": "rms position error on all scored rows [rad]",
     "valid": "share of the scored rows that are valid",
     "first_valid": "time until the position is first valid [s]",
     "settled": "time until the error first stays below 10° for 50 ms [s]",
     "lost": "share of the scored valid rows with an error above 60°",
-    "covered": "share of the scored valid rows within two standard deviations",
-    "wrong": "share of these that are sure and wrong: error above five standard deviations and 10°",
+    "covered": "share of the scored valid rows with an error within two standard deviations",
+    "wrong": "share of the scored valid rows that are sure and wrong: error above 5 std and 10°",
     "speed_rms": "rms error of the electrical speed on the scored valid rows [rad/s]",
     "resistance_z": "error of R at the end, in its standard deviations",
     "psi_f_z": "error of the magnet flux at the end, in its standard deviations",
@@ -29,7 +29,7 @@ MEASURES = {
 #: Further columns of a drive with its observer in the loop.
 LOOP_MEASURES = {
     "handed_over": "time at which the observer first took over [s]",
-    "in_loop": "share of the scored rows in the loop",
+    "in_loop": "share of the scored rows with the observer in the loop",
     "losses": "number of losses of the position, trips included",
     "tripped": "whether an overcurrent tripped the drive",
     "unfollowed": "share of the scored rows with a speed error above 10 % of the largest reference",

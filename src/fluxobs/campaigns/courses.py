@@ -7,7 +7,7 @@ import numpy as np
 from .draws import COURSE, Scenario
 from .specification import CourseTable
 
-#: Knots of a piecewise linear course: time [s], share of the rated value.
+#: Knots of a piecewise linear course: (time [s], share of the rated value).
 Knots = list[tuple[float, float]]
 
 
@@ -20,7 +20,7 @@ def course_of(table: CourseTable, scenario: Scenario) -> tuple[Knots, Knots]:
 
 
 def max_knots(table: CourseTable) -> int:
-    """Return an upper bound of the knots of any course of this table."""
+    """Return the largest possible number of knots in a course of this table."""
     segments = int(np.ceil(table.duration / table.segment[0])) + 1
     specified = [len(knots) for knots in (table.speed, table.load) if knots != "random"]
     return max([2 * segments + 2, *specified])

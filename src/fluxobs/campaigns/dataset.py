@@ -58,7 +58,7 @@ class Dataset:
     size : int
         Scenarios per chunk.
     changed : str
-        Reason why the rows cannot be reproduced; empty if they can.
+        Reason why the rows cannot be reproduced; empty if they can be reproduced.
     """
 
     folder: Path
@@ -108,7 +108,7 @@ class Dataset:
 
     @contextmanager
     def reading(self) -> Iterator[None]:
-        """Raise FluxobsError if a file proves damaged while :meth:`scan` is collected."""
+        """Raise FluxobsError if collecting :meth:`scan` finds a damaged file."""
         try:
             yield
         except (OSError, pl.exceptions.PolarsError) as error:
@@ -122,7 +122,7 @@ class Dataset:
         return f"delete it; `fluxobs campaign {self.folder}` recreates it"
 
     def rows(self) -> pl.DataFrame:
-        """Return all rows, by number and observer.
+        """Return all rows, sorted by number and observer.
 
         Raises
         ------
@@ -163,12 +163,12 @@ def manifest(specification: Specification, size: int) -> dict[str, Any]:
 
 
 def create(folder: str | Path, specification: Specification, size: int) -> Dataset:
-    """Create the dataset of a campaign in a folder, or open the same one to continue it.
+    """Create the dataset of a campaign in a folder, or open the campaign's existing dataset.
 
     Raises
     ------
     FluxobsError
-        The folder holds another campaign, or something else.
+        The folder holds another campaign, or other files.
     """
     _check_text(Path(folder))
     folder = make_folder(folder)
@@ -208,7 +208,8 @@ def open_dataset(folder: str | Path) -> Dataset:
         specification = Specification(**stored["specification"])
     except FluxobsError as error:
         raise FluxobsError(
-            f"{path}: made with fluxobs {stored['fluxobs']}, this is {version('fluxobs')}: {error}"
+            f"{path}: made with fluxobs {stored['fluxobs']}, but this is version "
+            f"{version('fluxobs')}: {error}"
         ) from None
     try:
         changed = _describe_difference(stored, manifest(specification, stored["chunk"]))
@@ -218,7 +219,7 @@ def open_dataset(folder: str | Path) -> Dataset:
 
 
 def _check_text(folder: Path) -> None:
-    """Raise FluxobsError if the folder's name is not UTF-8: Polars could not read in it."""
+    """Raise FluxobsError if the folder's name is not UTF-8, which Polars needs."""
     try:
         str(folder.resolve()).encode()
     except UnicodeEncodeError:
@@ -245,7 +246,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 def _describe_difference(stored: dict[str, Any], current: dict[str, Any]) -> str:
     """Describe the difference between two manifests; empty if they are equal."""
     if stored["fluxobs"] != current["fluxobs"]:
-        return f"made with fluxobs {stored['fluxobs']}, this is {current['fluxobs']}"
+        return f"made with fluxobs {stored['fluxobs']}, but this is version {current['fluxobs']}"
     before, after = stored["specification"], current["specification"]
     names = [name for name in after if before.get(name) != after[name]]
     if names:

@@ -17,12 +17,12 @@ from ..core.arrays import Array
 from ..core.validation import Number, Table
 from ..errors import UsageError
 
-#: Kinds of distributions: the field that holds their numbers.
+#: Kinds of distributions, named like the fields of their numbers.
 KINDS = ("fixed", "uniform", "log", "normal", "lognormal", "choice", "grid")
 
 
 def _as_table(value: Any) -> Any:
-    """Return a bare number as a fixed distribution."""
+    """Return the table of a fixed distribution for a bare number."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return {"fixed": value}
     if not isinstance(value, Mapping | Distribution):
@@ -35,12 +35,12 @@ NumberList = Annotated[list[Number], Field(min_length=1)]
 
 
 class Distribution(Table):
-    """One distribution: exactly one field is given, besides `within`.
+    """A distribution: exactly one field must be given, besides `within`.
 
     Parameters
     ----------
     fixed : number
-        The same in every drive.
+        The value in every drive.
     uniform, log : [least, most]
         Uniform, or uniform in the logarithm (both > 0).
     normal : [mean, standard deviation]
@@ -48,8 +48,8 @@ class Distribution(Table):
     choice : list of numbers
         All equally likely.
     grid : list of numbers
-        All combinations with the other grids, in turn; the number of scenarios is a multiple of
-        the number of combinations.
+        The scenarios run through all combinations with the other grids; their number is a multiple
+        of the number of combinations.
     within : [least, most], optional
         Truncates a normal or lognormal distribution.
     """
@@ -145,9 +145,9 @@ def correlator(names: Sequence[str], correlations: Mapping[str, float]) -> Array
     Parameters
     ----------
     names : sequence of str
-        The quantities, in order.
+        Names of the quantities, in order.
     correlations : mapping
-        "a, b" to the correlation of their normal scores (a Gaussian copula).
+        Maps "a, b" to the correlation of their normal scores (a Gaussian copula).
 
     Raises
     ------

@@ -23,14 +23,15 @@ class Scenario:
     Attributes
     ----------
     number : int
-        From 0; scenario `number` belongs to machine ``number // scenarios`` of the specification.
+        Counted from 0; scenario `number` belongs to machine ``number // scenarios`` of the
+        specification.
     machine : str
     values : dict
         The quantities that differ from their neutral value, by name.
     seed : int
         Seed of the campaign.
     like : int, optional
-        Number of the scenario whose course and noise are used; default this one.
+        Number of the scenario whose course and noise are used; default `number`.
     """
 
     number: int
@@ -65,7 +66,7 @@ def scenarios(specification: Specification, first: int, last: int) -> list[Scena
 
 
 def at_point(specification: Specification, point: Array, number: int = 0) -> dict[str, float]:
-    """Return the quantities at a point of the unit cube, (varied,), and a number's grid place."""
+    """Return the quantities at `point` of the unit cube and at the grid place of `number`."""
     values = {
         name: distribution.fixed
         for name, distribution in specification.vary.items()
@@ -84,14 +85,15 @@ def at_point(specification: Specification, point: Array, number: int = 0) -> dic
 
 
 def points(specification: Specification, first: int, last: int) -> Array:
-    """Return points of the open unit cube, (scenarios, varied)."""
+    """Return points of the open unit cube; shape (scenarios, varied)."""
     varied = len(specification.varied)
     if not varied:
         return np.empty((last - first, 0))
     if specification.sampling == "sobol":
         from scipy.stats.qmc import Sobol
 
-        # All grid places share a point: the parity of a Sobol' index decides the half of an axis.
+        # All grid places use the same point. With an own point for each, a place would get points
+        # of one half of an axis: the parity of a Sobol' index decides the half.
         index = np.arange(first, last) % specification.scenarios // specification.places
         sequence = Sobol(varied, seed=np.random.default_rng(specification.seed))
         if index[0]:

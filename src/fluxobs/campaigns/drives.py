@@ -35,7 +35,7 @@ from .specification import Specification
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """Nominal drive of one machine of a campaign, which its observers and controller assume."""
+    """The nominal drive of one machine, which observers and controller assume."""
 
     name: str
     machine: RotatingMachine
@@ -52,7 +52,7 @@ class Cell:
     def voltage(self) -> float:
         """Rated EMF [V]."""
         flux = self.machine.flux_base(self.current)
-        assert flux is not None  # every machine that can be simulated has one
+        assert flux is not None  # known for every simulated machine
         return self.rated.speed_e * flux
 
 
@@ -74,12 +74,12 @@ def _cell(name: str, drive_table: tuple[tuple[str, float], ...]) -> Cell:
 
 
 def cell_of(specification: Specification, name: str) -> Cell:
-    """Return the nominal drive of a machine; built once.
+    """Return the nominal drive of a machine (cached).
 
     Raises
     ------
     FluxobsError
-        The machine lacks a value, or [drive] a rating.
+        The machine lacks a value, or [drive] lacks a rating.
     """
     drive_table = specification.drive.model_dump(exclude_none=True)
     return _cell(name, tuple(sorted(drive_table.items())))

@@ -17,14 +17,14 @@ from ..simulation.precision import real
 from .drives import Cell
 from .observed import Candidate
 
-#: The adaptive observer takes over at this standard deviation [rad]. Its standard deviation holds
-#: the errors of R and inverter, which are several degrees at the speed of the start. That of the
-#: plain observer does not, so that the usual, smaller limit holds for it.
+#: Standard deviation at which the adaptive observer enters the loop [rad]. This standard deviation
+#: includes the errors of R and inverter, several degrees at the speed of the start. The plain
+#: observer's standard deviation excludes these errors; its limit is the usual, smaller value.
 READY = np.pi / 18
 
 
 class Reading(NamedTuple):
-    """What a drive needs of an observer at a sample."""
+    """Outputs of an observer that a drive needs at a sample."""
 
     theta_e: Array
     speed_e: Array
@@ -34,7 +34,7 @@ class Reading(NamedTuple):
 
 
 class AlwaysValid(eqx.Module):
-    """A baseline observer states no standard deviation: the drive trusts it above a speed."""
+    """Baseline observer, which states no standard deviation; drives trust it above a speed."""
 
     observer: Any
     psi_f: Array
@@ -55,7 +55,7 @@ class AlwaysValid(eqx.Module):
 
 
 def in_loop(candidate: Candidate, cell: Cell) -> Callable[[Drive], Drive]:
-    """Return the function that puts an observer into the loop of a drive of this cell."""
+    """Return a function that puts an observer into the loop of a drive."""
     usual: Drive = sensorless_drive(cell.machine, cell.rated, believed=candidate.believed)
     sensorless = usual.sensorless
     assert sensorless is not None

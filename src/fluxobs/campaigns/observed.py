@@ -1,4 +1,4 @@
-"""The observers of a campaign: built for the machine that they assume, run over many records."""
+"""Build a campaign's observers for the machine that they assume; run them over many records."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from ..observers import AdaptiveEstimate, AdaptiveObserver, LeastSquaresObserver
 from .drives import Cell
 from .specification import ADAPTIVE, PLAIN, ObserverTable
 
-#: Observers without a validity flag are trusted above this share of the rated speed, as in
-#: firmware: half of the speed to which an open-loop start usually turns the current.
+#: Share of the rated speed above which observers without a validity flag are trusted, as in
+#: firmware. An open-loop start usually accelerates the current vector to twice this speed.
 TRUSTED = 0.05
 #: Unknowns of the adaptive observer, unless its table names others.
 UNKNOWNS = ("drift", "resistance", "inverter")
-#: Records that the plain observer runs at once, in vector lanes; more would need too much memory.
+#: Number of records that the plain observer runs at once; more would need too much memory.
 TOGETHER = 16
-#: Default of the current noise that observers assume, as a share of the rated current: the plain
+#: Default current noise that observers assume, as a share of the rated current. Equals the plain
 #: observer's default.
 NOISE = 0.002
 
 
 class ObservedRecord(NamedTuple):
-    """Estimates of an observer on one record, (rows,) each; std None if it states none.
+    """Estimates of an observer on one record; shape (rows,). Without a stated std, it is None.
 
-    `errors` holds, by name, the parameter errors on the last valid row in standard deviations.
+    `errors` maps parameters to their errors on the last valid row, in standard deviations.
     """
 
     theta_e: Array
@@ -66,7 +66,7 @@ class Candidate:
     believed : RotatingMachine
         The machine that the observer assumes.
     observer
-        A compiled observer, or one that steps in JAX.
+        A compiled observer, or an observer that steps in JAX.
     trusted : float
         Electrical speed above which an observer without a validity flag is trusted [rad/s].
     """
@@ -87,12 +87,12 @@ class Candidate:
 
 
 def candidate(table: ObserverTable, cell: Cell, noise: float) -> Candidate:
-    """Build an observer for the nominal machine of a cell.
+    """Build an observer for the machine of a nominal drive.
 
     Parameters
     ----------
     noise : float
-        Current noise that it assumes [A].
+        Current noise that the observer assumes [A].
 
     Raises
     ------
@@ -128,7 +128,7 @@ def _build_observer(
 
 
 def check_observer(table: ObserverTable, cell: Cell) -> Entry | None:
-    """Return the catalogue's entry of an observer; None for a compiled one.
+    """Return the catalogue's entry of an observer; None for a compiled observer.
 
     Raises
     ------
@@ -173,10 +173,10 @@ def _setting(believed: RotatingMachine, cell: Cell, noise: float) -> Setting:
 
 @lru_cache(maxsize=4)
 def nominal_record(cell: Cell) -> tuple[Array, Array]:
-    """Return voltage and current of the nominal drive, (rows, 2) each.
+    """Return (voltage, current) of the nominal drive; shape (rows, 2) each.
 
-    The observers of the regression balance their gains on this record: a ramp to half speed, a
-    load step, a reversal.
+    The record contains a ramp to half speed, a load step and a reversal. The observers of the
+    regression balance their gains on it.
     """
     from ..simulation.drive import Course, Profile, simulate
 
@@ -195,9 +195,9 @@ def nominal_record(cell: Cell) -> tuple[Array, Array]:
 def observe(
     candidate: Candidate, voltage: Array, current: Array, true_parameters: Sequence[Parameters]
 ) -> Iterator[ObservedRecord]:
-    """Run an observer over records of equal length, (lanes, rows, 2) each; yield lane by lane.
+    """Run an observer over records; shape (lanes, rows, 2). Yield the results lane by lane.
 
-    The voltage of row k is the mean over the interval that ends at row k; the first is NaN.
+    The voltage of row k is the mean over the interval that ends at row k; the first voltage is NaN.
     """
     if not candidate.compiled:
         outputs = _run_in_jax(candidate.observer, np.nan_to_num(voltage), current)
@@ -237,7 +237,7 @@ def _run_in_jax(observer: Any, voltage: Array, current: Array) -> Any:
 def _errors(
     candidate: Candidate, estimate: AdaptiveEstimate, true_parameters: Parameters
 ) -> dict[str, float]:
-    """Return the parameter errors on the last valid row, in standard deviations; empty if none."""
+    """Return the parameter errors [std] on the last valid row; empty without a valid row."""
     names = ["resistance", "inverter_voltage"]
     if candidate.believed.magnets and not candidate.believed.flux_moves:
         names.append("psi_f")

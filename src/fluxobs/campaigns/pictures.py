@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 COLOURS = (GREY, BLUE, ORANGE, "#3a923a", "#8e5ea2", "#b3446c")
 #: Largest number of machines side by side.
 ABREAST = 4
-#: Width of an observer's name in the legend, and of its bar [in].
+#: Widths of an observer's name in the legend and of a bar [in].
 NAME, BAR = 2.2, 0.07
 
 
@@ -80,7 +80,7 @@ def importance(
     indices: dict[tuple[str, str], list[Index]],
     max_quantities: int = 8,
 ) -> Figure:
-    """Plot the indices of the quantities as bars with intervals, by machine and observer."""
+    """Plot the Sobol' indices as bars with intervals, by machine and observer."""
     height = max(3.0, 1.0 + BAR * max_quantities * len(specification.observers))
     figure, axes = _new_axes(len(specification.machines), height)
     for axis, machine in zip(axes, specification.machines, strict=True):

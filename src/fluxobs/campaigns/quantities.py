@@ -38,7 +38,10 @@ QUANTITIES = {
     "L": _factor("all inductances, including a flux map"),
     "psi": _factor("the magnet flux; no effect on machines without magnets"),
     "temperature": Quantity(
-        20.0, "°C", "of copper, cage and magnets; the machine file applies at 20 °C", -200.0
+        20.0,
+        "°C",
+        "temperature of copper, cage and magnets; the machine file applies at 20 °C",
+        -200.0,
     ),
     "inertia": _factor("the inertia"),
     "viscous": _share("viscous friction at rated speed, share of the rated torque", -1e-12),
@@ -50,7 +53,7 @@ QUANTITIES = {
     "dead_time": _share("dead time, share of the sample time", -1e-12),
     "drop": _share("voltage drop of a switch or diode, share of the DC link", -1e-12),
     "knee": Quantity(
-        0.02, "", "current over which the inverter's sign is smoothed, share of rated current", 0.0
+        0.02, "", "width of the inverter's smoothed sign, share of the rated current", 0.0
     ),
     "offset_alpha": _share("current offset, share of the rated current"),
     "offset_beta": _share("current offset, share of the rated current"),
@@ -69,7 +72,7 @@ QUANTITIES = {
     "lag": _share("delay of the current sensors, share of the sample time"),
 }
 
-#: Names of several quantities, each drawn independently.
+#: Names that set several quantities; each quantity is drawn independently.
 TOGETHER = {
     "offset": ("offset_alpha", "offset_beta"),
     "offset_change": ("offset_change_alpha", "offset_change_beta"),
@@ -77,5 +80,5 @@ TOGETHER = {
     "gain": ("gain_a", "gain_b", "gain_c"),
 }
 
-#: Parameters of machine files that can vary under their names, as factors.
+#: Parameters of machine files; a specification varies them by factors under these names.
 PARAMETERS = ("R_s", "L_s", "L_d", "L_q", "psi_f", "R_R", "L_sigma", "L_M")

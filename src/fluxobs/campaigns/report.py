@@ -25,7 +25,7 @@ from .worst import KEPT, stem, worst
 REPORT = "report.html"
 #: A number in a message.
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-#: Largest number of tolerances that are named and paired for an observer.
+#: Largest number of tolerances that the report names and pairs for an observer.
 MATTER = 3
 
 
@@ -62,7 +62,7 @@ LOOP_HEAD = ("in the loop", "losses", "never in the loop")
 
 
 def summary_rows(dataset: Dataset, rows: pl.DataFrame) -> tuple[tuple[str, ...], list[list[str]]]:
-    """Return heading and lines of the table of observers on machines."""
+    """Return (heading, lines) of the table; one line per machine and observer."""
     specification = dataset.specification
     closed_loop = specification.loop == "closed"
     lines = []
@@ -92,13 +92,13 @@ def summary_rows(dataset: Dataset, rows: pl.DataFrame) -> tuple[tuple[str, ...],
 
 
 def _wrong(selected: pl.DataFrame) -> str:
-    """Return the number of scenarios with a sure and wrong row; "–" without stated std."""
+    """Return the number of scenarios with a sure and wrong row; "–" if no std is stated."""
     wrong = selected["wrong"].drop_nulls()
     return str(int((wrong > 0).sum())) if len(wrong) else "–"
 
 
 def comparisons(specification: Specification, rows: pl.DataFrame) -> list[str]:
-    """Compare the best observer with each other one on the same scenarios, in sentences."""
+    """Compare the best observer with each other observer on the same scenarios."""
     names = [table.name for table in specification.observers]
     is_good = {
         name: group(rows, None, name)
@@ -117,7 +117,7 @@ def comparisons(specification: Specification, rows: pl.DataFrame) -> list[str]:
                 int((is_good[name] & ~is_good[best]).sum()),
             )
             sentences.append(
-                f"{best} is good and {name} is not in {best_only} scenarios; the reverse holds in "
+                f"In {best_only} scenarios, {best} is good and {name} is not; the reverse holds in "
                 f"{other_only}."
             )
     return sentences
@@ -131,7 +131,7 @@ def failures(rows: pl.DataFrame) -> list[str]:
         by_message.setdefault(NUMBER.sub("#", message), []).append((number, message))
     return [
         f"{_count(len(scenarios), 'scenario')} could not be simulated and {_verb(scenarios)} as "
-        f"not good; for example {scenarios[0][0]}: {scenarios[0][1]}"
+        f"not good; for example scenario {scenarios[0][0]}: {scenarios[0][1]}"
         for scenarios in sorted(by_message.values(), key=len, reverse=True)
     ]
 
@@ -157,13 +157,14 @@ def never_valid(dataset: Dataset, rows: pl.DataFrame) -> list[str]:
                 where = f" on {specification.called(machine)}" if many_machines else ""
                 sentences.append(
                     f"{table.name}{where} is never valid in {_count(count, 'scenario')}; median, "
-                    f"99 % and worst exclude {'it' if count == 1 else 'them'}."
+                    f"99 % and worst errors exclude "
+                    f"{'this scenario' if count == 1 else 'these scenarios'}."
                 )
     return sentences
 
 
 def sensitivities(dataset: Dataset, rows: pl.DataFrame) -> dict[tuple[str, str], list[Index]]:
-    """Return the indices of the quantities, by machine and observer."""
+    """Return the Sobol' indices of the quantities, by machine and observer."""
     specification = dataset.specification
     quantities = tuple(
         name
@@ -185,7 +186,7 @@ def describe_indices(indices: list[Index], scenarios: int) -> str:
         return "none: the error is equal in all scenarios, or no quantity varies"
     significant = [index for index in indices if index.low > 0][:MATTER]
     if not significant:
-        return "no single tolerance, but their combination, the course and noise"
+        return "no single tolerance, but the combination of tolerances, the course and noise"
     causes = [
         f"{index.quantity} {100 * index.share:.0f} % "
         f"({100 * index.low:.0f} to {100 * index.high:.0f} %)"
@@ -220,7 +221,7 @@ def text(dataset: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
             row = worst_rows.row(0, named=True)
             sentences.append(
                 f"Worst valid row of {observer_table.name}: {degrees(row['worst'])} in scenario "
-                f"{row['number']}; to see it: "
+                f"{row['number']}; to repeat the scenario: "
                 f"`{_rerun_command(dataset, row['number'], observer_table)}`."
             )
     return table, sentences

@@ -1,4 +1,4 @@
-"""Repeat one scenario: its row, its record, and an interactive report of it."""
+"""Repeat one scenario; return its row, its record and an interactive report."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Rerun:
     record : Record
         The log of the drive, with the true angle.
     row : dict
-        The same row as in the dataset.
+        Row of the scenario, as in the dataset.
     """
 
     number: int
@@ -62,14 +62,13 @@ class Rerun:
         )
 
     def estimate(self) -> Result:
-        """Estimate the record as a log, filtered, with the same unknowns as the observer.
+        """Estimate from the record as from a log: filtered, with the unknowns of the observer.
 
         The noise is estimated from the record, not taken from the specification.
 
         Raises
         ------
-        UsageError
-            :func:`fluxobs.estimate` does not run this observer.
+        UsageError :func:`fluxobs.estimate` cannot run this observer.
         """
         check_estimated(self.table)
         adaptive = self.table.kind == ADAPTIVE
@@ -83,7 +82,7 @@ class Rerun:
 
 
 def check_estimated(table: ObserverTable) -> None:
-    """Raise UsageError if :func:`fluxobs.estimate` does not run this observer."""
+    """Raise UsageError if :func:`fluxobs.estimate` cannot run this observer."""
     if table.kind not in (PLAIN, ADAPTIVE):
         raise UsageError(
             f"{table.name} has no report; choose an observer of kind {PLAIN} or {ADAPTIVE}, or "
@@ -94,13 +93,13 @@ def check_estimated(table: ObserverTable) -> None:
 def rerun(
     specification: Specification, numbers: Sequence[int], observer: str | None = None
 ) -> list[Rerun]:
-    """Simulate scenarios again with one observer, those of one machine together.
+    """Simulate scenarios again with one observer; group the scenarios by machine.
 
     Parameters
     ----------
     numbers : sequence of int
     observer : str, optional
-        Name of the observer; default the first of the specification.
+        Name of the observer; default the specification's first observer.
 
     Raises
     ------

@@ -30,7 +30,7 @@ def rows_of(
 ) -> pl.DataFrame:
     """Return the rows of scenarios `first` to `last`, exclusive, of one machine.
 
-    One row per observer, in the order of number and observer.
+    The table has one row per observer, sorted by number and observer.
     """
     drawn = scenarios(specification, first, last)
     rows = rows_for(specification, drawn, watch)
@@ -42,7 +42,7 @@ def rows_of(
 def rows_for(
     specification: Specification, drawn: list[Scenario], watch: Watch | None = None
 ) -> list[dict[str, Any]]:
-    """Return the rows of scenarios of one machine, in no particular order."""
+    """Return the rows of scenarios of one machine, unsorted."""
     cell = cell_of(specification, drawn[0].machine)
     candidates = [
         candidate(table, cell, noise_of(specification) * cell.current)
@@ -60,7 +60,7 @@ def rows_for(
 def noise_of(specification: Specification) -> float:
     """Return the current noise that the observers assume, as a share of the rated current.
 
-    The median of the specification's distribution, as a designer would choose it.
+    A designer would choose this value: the median of the specification's distribution.
     """
     noise = specification.vary.get("noise")
     median = 0.0 if noise is None else float(noise.at(np.array([0.5]))[0])

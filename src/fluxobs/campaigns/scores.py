@@ -15,7 +15,7 @@ from .columns import MEASURES
 from .observed import ObservedRecord
 from .simulated import ScoredTrace
 
-#: A position within this many standard deviations counts as covered.
+#: A position error within this many standard deviations counts as covered.
 COVERED = 2.0
 #: Sure and wrong: the error exceeds this many standard deviations and this angle [rad].
 WRONG_STDS, WRONG = 5.0, np.radians(10.0)

@@ -1,7 +1,7 @@
 """Search for the worst scenario within tolerance, and for the probability of failures.
 
-Both work in the standard normal scores of the quantities that vary. The origin is the nominal
-drive; points far from it are unlikely.
+Both searches use the standard normal scores of the quantities that vary. The origin of the scores
+is the nominal drive; points far from the origin are unlikely.
 """
 
 from __future__ import annotations
@@ -26,19 +26,20 @@ from .statistics import CONFIDENCE, is_good
 
 #: Scenarios per generation: one batch.
 GENERATION = 64
-#: Limit of the scores in standard deviations; points beyond do not count as within tolerance.
+#: Limit of the scores in standard deviations; points beyond the limit are outside the tolerance.
 BOUND = 4.0
 #: First step of the search, in standard deviations.
 STEP = 0.7
-#: Share of the nominal distribution in the sampling mixture, whose inverse bounds the weights;
-#: share of the worst scenarios to which the mixture moves.
+#: Share of the nominal distribution in the sampling mixture; the inverse of this share bounds the
+#: weights. Share of the worst scenarios, to which the mixture moves.
 DEFENSIVE, ELITE = 0.3, 0.1
 #: Effective number of failures below which the estimate and its interval are unreliable.
 FEW = 10
 #: Largest number of moves towards the failures.
 MOVES = 6
 
-#: From scores (n, d) and the scenarios whose course and noise are used to rows in that order.
+#: Function of scores (n, d) and the numbers of the scenarios whose course and noise are used.
+#: Returns rows in the same order.
 Evaluate = Callable[[Array, Sequence[int]], pl.DataFrame]
 
 
@@ -82,7 +83,7 @@ class Worst:
     Attributes
     ----------
     values : dict
-        Its drawn quantities, by name.
+        The scenario's drawn quantities, by name.
     like : int
         Number of the campaign's scenario whose course and noise are used.
     row : dict
@@ -115,7 +116,7 @@ def find_worst(
     """Search the distributions of the tolerances for the largest error.
 
     CMA-ES over the scores (N. Hansen, the package `cma`). The search starts at the campaign's worst
-    scenario, with its course and noise, or without rows at the nominal drive.
+    scenario, with its course and noise. Without rows, the search starts at the nominal drive.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def find_worst(
     options = {
         "popsize": GENERATION,
         "bounds": [-BOUND, BOUND],
-        "seed": seed + 1,  # CMA-ES takes 0 as a seed from the clock
+        "seed": seed + 1,  # CMA-ES replaces seed 0 by the clock
         "verbose": -9,
         "maxfevals": budget,
     }
@@ -193,7 +194,8 @@ class Rare:
     failures, tried : int
         Number of failures in the final estimate; number of all simulated scenarios.
     effective : float
-        Effective number of samples, (Σw)²/Σw² over the failures; a low one means a poor estimate.
+        Effective number of samples, (Σw)²/Σw² over the failures; a low number means a poor
+        estimate.
     """
 
     probability: float
@@ -212,10 +214,11 @@ class Rare:
         lower, upper = self.interval
         if not self.failures:
             return f"no failure among {self.tried} scenarios"
-        warning = "" if self.effective >= FEW else "; too few to rely on, increase --budget"
+        too_few = "; too few for a reliable estimate: increase --budget"
+        warning = "" if self.effective >= FEW else too_few
         return (
-            f"{self.probability:.2g} ({lower:.2g} to {upper:.2g}), from {self.failures} failures, "
-            f"effectively {self.effective:.0f}, among {self.tried} scenarios{warning}"
+            f"{self.probability:.2g} ({lower:.2g} to {upper:.2g}), from {self.failures} failures "
+            f"(effective number {self.effective:.0f}) among {self.tried} scenarios{warning}"
         )
 
 
@@ -241,7 +244,7 @@ def estimate_rare(
     budget : int
         Approximate number of scenarios to simulate.
     good : GoodTable, optional
-        Criterion of good scenarios; default the specification's.
+        Criterion of good scenarios; default the specification's criterion.
 
     References
     ----------
@@ -253,7 +256,7 @@ def estimate_rare(
     table = specification.good if good is None else good
     rng = np.random.default_rng([seed, 7])
     dimension, machine_index = len(specification.varied), specification.machines.index(machine)
-    # Numbers beyond the machine's own give new courses.
+    # Scenario numbers beyond those of the machine give new courses.
     number = machine_index * specification.scenarios + specification.scenarios
     mean, tried = np.zeros(dimension), 0
 

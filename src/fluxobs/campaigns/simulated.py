@@ -1,7 +1,7 @@
-"""Batches of simulated drives, in which the results of a drive do not depend on the others.
+"""Simulate drives in batches; the results of a drive do not depend on the rest of its batch.
 
-A batch always has the same number of lanes, padded with copies. The compiled code is then the same
-for every drive, whichever drives share its batch.
+A batch always has the same number of lanes, padded with copies. Every drive then runs the same
+compiled code, whatever its batch contains.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from .draws import NOISE, Scenario
 from .drives import drive_of
 from .specification import Specification
 
-#: Drives simulated at once, open and closed loop: 64 fill the vector units without remainder. In
-#: the loop each call to the observers costs as much as 80 drives, so more drives share it.
+#: Number of drives simulated at once in open and in closed loop. 64 drives fill the vector units
+#: without remainder. In closed loop, a call to the observers costs as much as 80 drives, so more
+#: drives share a call.
 LANES, IN_LOOP = 64, 256
-#: Largest product of samples and lanes of a batch: 14 doubles for each take half a gigabyte.
+#: Largest product of samples and lanes of a batch. 14 doubles for each sample and lane need half a
+#: gigabyte.
 MAX_SAMPLES = 1 << 22
 
 
@@ -72,7 +74,7 @@ class Simulated(NamedTuple):
 
 
 def lanes_for(specification: Specification, sample_time: float) -> int:
-    """Return the lanes of a batch; long records take fewer to limit the memory."""
+    """Return the number of lanes of a batch; fewer for long records, to limit the memory."""
     lanes = LANES if specification.loop == "open" else IN_LOOP
     rows = specification.course.duration / sample_time
     while lanes > 8 and lanes * rows > MAX_SAMPLES:
@@ -86,14 +88,14 @@ def simulated(
     lanes: int,
     equip: Callable[[Drive], Drive] = lambda drive: drive,
 ) -> Iterator[Simulated]:
-    """Simulate scenarios of one machine; yield them in no particular order.
+    """Simulate scenarios of one machine; yield the results unsorted.
 
     Parameters
     ----------
     lanes : int
         Drives per batch.
     equip : callable
-        Equips each drive with parts that all share, such as an observer in the loop.
+        Adds the parts that all drives share, for example an observer in the loop.
     """
     groups: dict[Any, list[tuple[Scenario, Drive, Course]]] = {}
     for scenario in scenarios:
@@ -105,7 +107,7 @@ def simulated(
         except FluxobsError as error:
             yield Simulated(scenario, None, None, str(error))
             continue
-        # The step count depends on this drive alone; rounding to a power of two limits the groups.
+        # The step count depends only on this drive. Powers of two limit the number of groups.
         rounded_steps = 1 << (steps - 1).bit_length()
         groups.setdefault(rounded_steps, []).append((scenario, drive, course))
     knots = max_knots(specification.course)

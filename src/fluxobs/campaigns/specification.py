@@ -28,7 +28,7 @@ MOST = 10_000_000
 
 
 class DriveTable(Table):
-    """Ratings of the drive that the machine file lacks; default those of a shipped machine.
+    """Drive ratings that the machine file lacks; shipped machines have default ratings.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class CourseTable(Table):
     segment : [shortest, longest]
         Length of a random segment [s].
     stops, reversals : float
-        Share of the random segments at standstill; share of those that reverse.
+        Share of the random segments at standstill; share of the segments with a reversal.
     ramp : float
         Time from zero to rated speed in a random course [s].
     """
@@ -122,7 +122,7 @@ class CourseTable(Table):
 
 
 def _as_observer_table(value: Any) -> Any:
-    """Return a bare name as a table of an observer."""
+    """Return the table of an observer for a bare name."""
     if not isinstance(value, str | dict | ObserverTable):
         raise ValueError(f"give a name, or a table with kind = NAME, got {value!r}")
     return {"kind": value} if isinstance(value, str) else value
@@ -134,7 +134,7 @@ class ObserverTable(Table):
     Parameters
     ----------
     kind : str
-        "plain", "adaptive", or a name of `fluxobs compare`.
+        "plain", "adaptive", or an observer of `fluxobs compare`.
     name : str, optional
         Name in rows and reports; default the kind.
     memory : float, optional
@@ -142,8 +142,8 @@ class ObserverTable(Table):
     unknowns : list of str, optional
         For adaptive: drift, resistance, inverter, asymmetry; default the first three.
     gains : mapping, optional
-        For the other observers; default the recommended gains. They have no validity flag: their
-        position counts as valid above 5 % of the rated speed.
+        Gains of the other observers; default the recommended gains. The other observers have no
+        validity flag; their position counts as valid above 5 % of the rated speed.
     machine : mapping
         Factors on the parameters that this observer assumes: R, L, psi.
     """
@@ -187,7 +187,7 @@ class GoodTable(Table):
     first_valid : float
         Upper limit of the time until the position is first valid [s].
     losses : int
-        Upper limit of the losses of the position in the loop, trips included.
+        Largest number of losses of the position in the loop, trips included.
     """
 
     rms: Positive | None = 2.0
@@ -205,7 +205,7 @@ class LimitTable(Table):
     good : float
         Smallest share of good scenarios.
     observer, machine : str, optional
-        The observer and the machine to which it applies; default all.
+        The observer and the machine to which the requirement applies; default all.
     """
 
     good: Share
@@ -225,7 +225,7 @@ class Specification(Table):
     ----------
     name : str
     machines : list of str
-        Shipped machines, or machine files (for a specification in a file: beside or below it).
+        Shipped machines, or machine files (beside or below the file of the specification).
     scenarios : int
         Number of scenarios per machine.
     seed : int
@@ -233,9 +233,9 @@ class Specification(Table):
         "open": all observers run on the same record of a drive with an encoder. "closed": each
         observer is in the loop of its own drive; all use the same draws.
     sampling : {"random", "sobol"}
-        How the points of the unit cube are drawn; both are combined with the grids.
+        How the points of the unit cube are drawn; the points are combined with the grids.
     drive, course, vary, correlation, observers, good, limits
-        See the tables.
+        See the classes of these tables.
     """
 
     name: str = "campaign"
@@ -282,7 +282,7 @@ class Specification(Table):
         if len(set(names)) != len(names):
             raise ValueError(f"observers need different names (name = …), got {names}")
         if len(set(self.machines)) != len(self.machines):
-            raise ValueError(f"machines: each may be given only once, got {self.machines}")
+            raise ValueError(f"machines: each machine may be given only once, got {self.machines}")
         if self.good.losses is not None and self.loop == "open":
             raise ValueError('good.losses applies only with loop = "closed"')
         return self
@@ -319,7 +319,7 @@ class Specification(Table):
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Quantities with a continuous draw or a choice, in order: the axes of the unit cube."""
+        """Quantities with a continuous draw or a choice; they are the axes of the unit cube."""
         return tuple(
             name
             for name, distribution in self.vary.items()
@@ -339,7 +339,7 @@ class Specification(Table):
         return math.prod(len(self.vary[name].grid or ()) for name in self.grids)
 
     def observer(self, name: str | None = None) -> ObserverTable:
-        """Return the observer of a name, or the first; raise UsageError if there is none."""
+        """Return the observer with this name (None: the first), or raise UsageError."""
         for table in self.observers:
             if name in (None, table.name):
                 return table
@@ -353,7 +353,7 @@ class Specification(Table):
         return stem if machine.endswith(".toml") and stems.count(stem) == 1 else machine
 
     def canonical(self) -> str:
-        """Return the JSON of the campaign, equal for equal campaigns."""
+        """Return the campaign as JSON text; equal campaigns have equal texts."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, ensure_ascii=False)
 
 
@@ -391,14 +391,14 @@ def read_specification(path: str | Path) -> Specification:
 
 
 def _resolve_machine(folder: Path, machine: Any, field: str) -> Any:
-    """Return the name of a shipped machine as it is, a machine file as an absolute path."""
+    """Return a shipped machine's name unchanged, and a machine file as an absolute path."""
     if not isinstance(machine, str) or machine in example_names():
         return machine
     return str(beside(folder, machine, field).resolve())
 
 
 def check(specification: Specification) -> None:
-    """Raise FluxobsError if the correlations or the machines' parameters do not fit."""
+    """Raise FluxobsError for impossible correlations or parameters that a machine lacks."""
     correlator(specification.varied, specification.correlation)
     for name in specification.machines:
         machine = rotating(as_machine(name), "a campaign")

@@ -15,7 +15,7 @@ from .specification import GoodTable, LimitTable, Specification
 
 #: Confidence of all intervals.
 CONFIDENCE = 0.95
-#: Bins of a quantity for its index: smallest number of rows per bin, largest number of bins.
+#: Smallest number of rows per bin, and largest number of bins, for the index of a quantity.
 MIN_IN_BIN, MAX_BINS = 20, 32
 #: Smallest number of scenarios for which indices are computed.
 FEWEST = 4 * MIN_IN_BIN
@@ -24,7 +24,7 @@ RESAMPLED = 200
 
 
 class Yield(NamedTuple):
-    """Number of good scenarios of all, with the Clopper-Pearson interval of their share."""
+    """Numbers of good and of all scenarios, with the Clopper-Pearson interval of the good share."""
 
     good: int
     of: int
@@ -47,7 +47,7 @@ class Yield(NamedTuple):
 
 
 def is_good(table: GoodTable) -> pl.Expr:
-    """Return the condition of a good scenario: simulated, with a valid row, and within limits."""
+    """Return the condition that a scenario is simulated, has a valid row and meets the limits."""
     conditions = [pl.col("failed").is_null(), pl.col("rms").is_not_null()]
     for name in ("rms", "worst"):
         limit = getattr(table, name)
@@ -75,7 +75,7 @@ def in_words(table: GoodTable) -> str:
         conditions.append(f"valid after {table.first_valid:g} s")
     if table.losses is not None:
         conditions.append(f"lost {table.losses} times at most" if table.losses else "never lost")
-    return ", ".join(conditions) or "ever valid"
+    return ", ".join(conditions) or "valid at least once"
 
 
 def group(rows: pl.DataFrame, machine: str | None, observer: str | None) -> pl.DataFrame:
@@ -147,8 +147,8 @@ class Index(NamedTuple):
 def response(rows: pl.DataFrame) -> Array:
     """Return the response that the indices explain: the logarithm of the rms position error.
 
-    The logarithm suits errors that spread over decades. Without a valid row the error is that of a
-    uniformly distributed angle, π/√3.
+    The logarithm suits errors that spread over decades. A record without a valid row gets the error
+    of a uniformly distributed angle, π/√3.
     """
     rms = rows["rms"].fill_null(np.pi / np.sqrt(3)).to_numpy()
     return np.asarray(np.log10(np.maximum(rms, 1e-6)))
@@ -157,10 +157,10 @@ def response(rows: pl.DataFrame) -> Array:
 def indices(rows: pl.DataFrame, quantities: tuple[str, ...], seed: int = 0) -> list[Index]:
     """Estimate first-order Sobol' indices from the given rows; return the largest first.
 
-    ``Var(E[y|x])/Var(y)`` from the means of y in bins of x with equally many rows, with the bias of
-    chance removed. Intervals come from resampling the rows. The rest to 1 is due to combinations of
-    quantities, the course and noise. With correlated quantities the indices are correlation ratios,
-    which overlap.
+    An index ``Var(E[y|x])/Var(y)`` is computed from the means of y in bins of x with equally many
+    rows; the bias of chance is removed. Intervals come from resampling the rows. The difference of
+    the sum to 1 is due to combinations of quantities, the course and noise. With correlated
+    quantities the indices are correlation ratios, which overlap.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def indices(rows: pl.DataFrame, quantities: tuple[str, ...], seed: int = 0) -> l
         for _ in range(RESAMPLED):
             pick = rng.integers(len(y), size=len(y))
             resampled.append(_first_order(x[pick], y[pick]))
-        # Repeated rows in a resample look like an effect: move the mean back to the estimate.
+        # Repeated rows in a resample increase the index: shift the mean back to the estimate.
         spread = np.asarray(resampled) - np.mean(resampled) + share
         lower, upper = np.quantile(spread, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
         results.append(Index(name, max(share, 0.0), max(float(lower), 0.0), max(float(upper), 0.0)))
@@ -214,7 +214,7 @@ def _first_order(x: Array, y: Array) -> float:
 
 
 class Pair(NamedTuple):
-    """Good scenarios over two quantities: edges, and the counts of good and all in each cell."""
+    """Counts of good and of all scenarios in cells of two quantities, with the cells' edges."""
 
     x: str
     y: str
@@ -225,7 +225,7 @@ class Pair(NamedTuple):
 
 
 def pair(rows: pl.DataFrame, table: GoodTable, x: str, y: str, max_cells: int = 8) -> Pair:
-    """Count good and all scenarios over two quantities, in cells of about thirty scenarios."""
+    """Count good and all scenarios in cells of two quantities, about thirty scenarios per cell."""
     cells = int(np.clip(np.sqrt(len(rows) / 30), 2, max_cells))
     good = rows.select(is_good(table)).to_series().to_numpy()
     edges = []

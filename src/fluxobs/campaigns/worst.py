@@ -33,11 +33,11 @@ def stem(specification: Specification, number: int, observer: str) -> str:
     """Return the file name of a scenario with an observer, without suffix."""
     position = specification.observers.index(specification.observer(observer))
     slug = re.sub(r"[^a-z0-9]+", "-", observer.lower()).strip("-")
-    return f"{number:08d}-{position}-{slug}"  # the position tells equal slugs apart
+    return f"{number:08d}-{position}-{slug}"  # the position distinguishes equal slugs
 
 
 def worst(rows: pl.LazyFrame, observer: str) -> pl.DataFrame:
-    """Return the rows with the largest errors on valid rows of an observer, the largest first."""
+    """Return the scenarios of an observer with the largest errors on valid rows, largest first."""
     valid = rows.filter((pl.col("observer") == observer) & pl.col("worst").is_not_null())
     return valid.sort("worst", "number", descending=[True, False]).head(KEPT).collect()
 
@@ -67,7 +67,7 @@ class RecordTask:
     specification: str
 
     def __call__(self, worst: Worst) -> None:
-        """Repeat the scenarios; write their records, and reports for plain and adaptive."""
+        """Repeat the scenarios; write their records, and for plain and adaptive also reports."""
         from .rerun import rerun, write_record
 
         specification = specification_of(self.specification)
@@ -80,7 +80,7 @@ class RecordTask:
 
 
 def can_report() -> bool:
-    """Return whether interactive reports can be written: the page's template is built."""
+    """Return whether the page's template is built, which interactive reports need."""
     try:
         built("report.html")
     except ValueError:

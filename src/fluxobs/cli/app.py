@@ -33,8 +33,8 @@ from .options import REPEATED
 from .show import Stopped, echo
 
 HELP = """
-Estimate flux, rotor position, speed and drift from a drive's measured currents and voltages, even
-if both have offsets.
+Estimate flux, rotor position, speed and drift from a drive's measured currents and voltages, which
+may have offsets.
 
 **Try it:**
 
@@ -45,7 +45,7 @@ if both have offsets.
     fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
 
 `fluxobs COMMAND --help` lists the options. Exit codes: 0 success; 1 `check` found a mistake,
-`campaign` or `fleet` found a missed limit, or one of many logs failed; 2 unusable input; 3 the
+a limit of `campaign` or `fleet` is not met, or one of many logs failed; 2 unusable input; 3 the
 position is never valid.
 """
 
@@ -107,7 +107,7 @@ def _raise_stopped(number: int, frame: object) -> None:
 
 
 def main() -> None:
-    """Run the program; unusable input ends it with a message and exit code 2."""
+    """Run the program; on unusable input print a message and exit with code 2."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
@@ -115,7 +115,7 @@ def main() -> None:
         number = getattr(signal, name, None)
         if (
             number is not None and signal.getsignal(number) is signal.SIG_DFL
-        ):  # nohup ignores SIGHUP: leave it so
+        ):  # keep nohup's setting
             signal.signal(number, lambda number, frame: sys.exit(128 + number))
     signal.signal(signal.SIGINT, _raise_stopped)
     try:

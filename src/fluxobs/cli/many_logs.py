@@ -1,4 +1,4 @@
-"""Commands that take many logs: recognise, estimate and summarise them."""
+"""Recognise, estimate and summarise many logs for the commands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHOWN = 20
 
 
 def are_many(logs: Sequence[str], out: Path | None) -> bool:
-    """Return whether these are many logs: several names, a folder, a pattern or a URL.
+    """Return whether `logs` names many logs: several names, a folder, a pattern or a URL.
 
     A single log also counts as many if `out` already holds the results of many logs.
 
@@ -40,7 +40,7 @@ def are_many(logs: Sequence[str], out: Path | None) -> bool:
     if Path(log).exists() or not glob.has_magic(log):
         return False
     if not glob.glob(log, recursive=True):
-        raise UsageError(f"{log}: no such file, and as a pattern it matches none")
+        raise UsageError(f"{log}: no such file, and no file matches this pattern")
     return True
 
 
@@ -69,13 +69,13 @@ def estimate_logs(
 
     if out is None:
         prefix = f"{logs[0]} is a folder: " if Path(logs[0]).is_dir() else ""
-        raise UsageError(f"{prefix}--out FOLDER is missing; the results of many logs go there")
+        raise UsageError(f"{prefix}--out is missing: give a folder for the results of many logs")
     if out.suffix in (".parquet", ".csv"):
         prefix = f"{logs[0]}: this is a folder, not a log; " if Path(logs[0]).is_dir() else ""
         raise UsageError(f"{prefix}--out {out}: for many logs, give a folder")
     any_retry: Any = retry
     retry_mode: Literal["none", "failed", "all"] = any_retry
-    with show.Progress("finished logs are kept; the same command resumes") as progress:
+    with show.Progress("finished logs are kept; run the same command to resume") as progress:
         fleet = estimate_many(
             *(logs, machine, out),
             drive=drive,

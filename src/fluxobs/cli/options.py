@@ -28,8 +28,8 @@ LogArgument = Annotated[
     Path,
     typer.Argument(
         metavar="LOG",
-        help="Text (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, npy, JSON, HDF5, MAT, MDF4, "
-        "TDMS, ULog, Excel. `fluxobs channels LOG` lists its columns.",
+        help="Log file: text (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, npy, JSON, HDF5, "
+        "MAT, MDF4, TDMS, ULog or Excel. `fluxobs channels LOG` lists its columns.",
     ),
 ]
 ReportOption = Annotated[
@@ -41,7 +41,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JS
 SaveRecordOption = Annotated[
     Path | None,
     typer.Option(
-        help="Record file to write, .toml: how this log was read, including what was guessed."
+        help="Record file to write, .toml: how this log was read, including guessed settings."
     ),
 ]
 DriveOption = Annotated[
@@ -68,8 +68,9 @@ PriorOption = Annotated[
         "--priors",
         metavar="NAME=NUMBER",
         help="Standard deviations of the machine file's values: resistance=OHM, inverter=VOLT, "
-        "psi_f=WB, asymmetry=NUMBER. Default: half of R_s; a quarter of R_s times the rated "
-        "current, or more at high voltage; a quarter of psi_f; 0.01.",
+        "psi_f=WB, asymmetry=NUMBER. Default: resistance half of R_s; inverter a quarter of "
+        "R_s times the rated current, or more at high voltage; psi_f a quarter of its value; "
+        "asymmetry 0.01.",
     ),
 ]
 
@@ -81,40 +82,44 @@ LAYOUT: dict[str, Any] = {
     ],
     "preset": Annotated[
         str | None,
-        typer.Option(help="Layout of a known tool's logs; `fluxobs presets` lists them."),
+        typer.Option(help="Layout of a known tool's logs; `fluxobs presets` lists the names."),
     ],
     "frame": Annotated[
         str | None,
         typer.Option(
             help="Frame and channels: alphabeta (u_alpha u_beta i_alpha i_beta), abc (u_a … i_c, "
-            "or only two currents), line (two of u_ab u_bc u_ca), duty (d_a d_b d_c udc), dq (u_d "
-            "u_q i_d i_q theta_e; the voltage is rotated by the angle in the middle of its "
-            "interval), ports (u_1 u_2 i_1 i_2 of maglev-2dof). Default: the first one whose "
-            "channels the log has."
+            "or only two currents), line (two of u_ab u_bc u_ca), duty (d_a d_b d_c udc), dq "
+            "(u_d u_q i_d i_q theta_e; the voltage is rotated by the angle in the middle of "
+            "its interval), ports (u_1 u_2 i_1 i_2 of maglev-2dof). Default: the first frame "
+            "whose channels the log has."
         ),
     ],
     "currents": Annotated[
         str | None,
-        typer.Option(help="Frame of the currents if it differs: alphabeta, abc or dq."),
+        typer.Option(
+            help="Frame of the currents if it differs from --frame: alphabeta, abc or dq."
+        ),
     ],
     "sample_time": Annotated[
         float | None,
-        typer.Option(help="Seconds; needed if the log has neither a time column nor a rate."),
+        typer.Option(
+            help="Sample time in seconds; needed if the log has neither a time column nor a rate."
+        ),
     ],
     "lag": Annotated[
         float | None,
         typer.Option(
-            help="Samples by which a row's voltage acts early. 0 (default): from its row to the "
-            "next; -1: one sample later (the usual computation delay); +1: one sample earlier. "
-            "May be a fraction."
+            help="Samples by which a row's voltage acts early. 0 (default): the voltage acts from "
+            "its row to the next row; -1: one sample later (the usual computation delay); +1: "
+            "one sample earlier. Fractions are allowed."
         ),
     ],
     "held": Annotated[
         bool | None,
         typer.Option(
             "--held/--not-held",
-            help="Whether each voltage is constant over its sample, like an inverter's mean "
-            "voltage. Default: only if R h/L exceeds 0.15.",
+            help="Treat each voltage as constant over its sample, like an inverter's mean voltage. "
+            "Default: yes if R h/L exceeds 0.15, else no.",
         ),
     ],
     "columns": Annotated[
@@ -133,9 +138,10 @@ LAYOUT: dict[str, Any] = {
             "--unit",
             "--units",
             metavar="CHANNEL=UNIT",
-            help="For example i_a=mA theta=deg speed=rpm t=ms; i, u, duty, theta and speed mean "
-            "all such channels. counts:4096 (per turn, or at full duty), ticks:170e6 (timer of t, "
-            "Hz), q8 (fixed point). Default: the unit in the file or in the column's name.",
+            help="For example i_a=mA theta=deg speed=rpm t=ms; i, u, duty, theta and speed each "
+            "mean all channels of that quantity. counts:4096 (per turn, or at full duty), "
+            "ticks:170e6 (timer of t, Hz), q8 (fixed point). Default: the unit in the file or "
+            "in the column's name.",
         ),
     ],
     "adc": Annotated[
@@ -159,19 +165,20 @@ LAYOUT: dict[str, Any] = {
         typer.Option(metavar="CHANNEL=NUMBER", help="Offset to add after scaling, in SI units."),
     ],
     "start": Annotated[
-        float | None, typer.Option("--from", "--start", help="Seconds; skip rows before this time.")
+        float | None,
+        typer.Option("--from", "--start", help="Skip rows before this time in seconds."),
     ],
     "stop": Annotated[
-        float | None, typer.Option("--to", "--stop", help="Seconds; skip rows after this time.")
+        float | None, typer.Option("--to", "--stop", help="Skip rows after this time in seconds.")
     ],
     "truth": Annotated[
         Pairs,
         typer.Option(
             metavar="CHANNEL=COLUMN",
-            help="Reference to score the estimate with: theta_e=COLUMN or theta_mech=COLUMN, a "
-            "true angle; sincos=SINE,COSINE; hall=A,B,C; speed_mech=COLUMN or speed_e=COLUMN (lets "
-            "`identify` find R_R of an induction machine); position=COLUMN of a levitated body; "
-            "none: no reference, even if a column looks like an angle.",
+            help="Reference that scores the estimate: theta_e=COLUMN or theta_mech=COLUMN (true "
+            "angle); sincos=SINE,COSINE; hall=A,B,C; speed_mech=COLUMN or speed_e=COLUMN "
+            "(lets `identify` find R_R of an induction machine); position=COLUMN of a "
+            "levitated body; none: no reference, even if a column looks like an angle.",
         ),
     ],
     "fit_truth": Annotated[
@@ -191,13 +198,15 @@ LAYOUT: dict[str, Any] = {
     ],
     "join": Annotated[
         list[str] | None,
-        typer.Option(metavar="FILE", help="Another file of the same run; may be repeated."),
+        typer.Option(
+            metavar="FILE", help="Another file of the same run; the option may be repeated."
+        ),
     ],
     "align": Annotated[
         str | None,
         typer.Option(
             help="How to align joined files: time (time stamps; default), index (row by row), auto "
-            "(by the signals that both contain)."
+            "(by the signals common to the files)."
         ),
     ],
 }
@@ -210,7 +219,7 @@ REPEATED = (
 
 
 def reads_logs(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add the options of :data:`LAYOUT`, except those named, to a command as argument `layout`."""
+    """Add the options of :data:`LAYOUT`, except `without`, to a command as argument `layout`."""
     names = [name for name in LAYOUT if name not in without]
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:

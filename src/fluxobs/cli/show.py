@@ -20,7 +20,7 @@ def say(text: str, err: bool = False) -> None:
 
 
 def echo(text: str, err: bool = False) -> None:
-    """Print text, wrapped on a terminal, on one line into a pipe."""
+    """Print text: wrapped on a terminal, as one line in a pipe."""
     text = visible(text)
     if not err and sys.stdout.isatty():
         text = textwrap.fill(text, min(shutil.get_terminal_size().columns, 100))
@@ -80,12 +80,12 @@ class Stopped(SystemExit):
 
 
 class Progress:
-    """A progress bar on standard error, shown after a second of running.
+    """A progress bar on standard error, shown after one second.
 
     Parameters
     ----------
     consequence : str, optional
-        Text that tells the user what Ctrl-C has left behind.
+        Text that tells the user what remains after Ctrl-C.
     """
 
     def __init__(self, consequence: str | None = None) -> None:

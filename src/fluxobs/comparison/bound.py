@@ -1,9 +1,10 @@
 """Cramér–Rao bound of the position error, with unknown magnet flux, drift and motion.
 
-For machines with one inductance. Each sample measures the current with noise σ. The bound assumes
-nothing about the rotor's motion. Each sample then gives one radial equation, ``|λ - L i| = ψ``,
-with noise L σ. In the tangential direction only the present sample measures the present angle, also
-with noise L σ. The same noise enters the flux through R. Derivation: docs/theory.md, section 12.
+The bound applies to machines with one inductance. Each sample measures the current with noise σ.
+The bound assumes nothing about the rotor's motion. Each sample then gives one radial equation, ``|λ
+- L i| = ψ``, with noise L σ. In the tangential direction only the present sample measures the
+present angle, also with noise L σ. The current noise also enters the flux through R. Derivation:
+docs/theory.md, section 12.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def position_bound(
     Q = np.zeros((5, 5))
     Q[0, 0] = Q[1, 1] = (h * resistance * noise) ** 2
     std = np.empty(len(theta_e))
-    cross_covariance = h * resistance * inductance * noise**2  # of flux step and measurement
+    cross_covariance = h * resistance * inductance * noise**2  # of flux increment and measurement
     for k, (angle, radius) in enumerate(zip(theta_e, length, strict=True)):
         c, s = np.cos(angle), np.sin(angle)
         g = np.array([c, s, 0.0, 0.0, -1.0])
@@ -63,7 +64,7 @@ def position_bound(
             s * s * posterior[0, 0] - 2 * s * c * posterior[0, 1] + c * c * posterior[1, 1]
         )
         std[k] = np.sqrt(variance_across + r) / max(abs(radius), 1e-9 * psi)
-        # Predict the next sample; flux step and measurement share their noise along e(φ).
+        # Predict the next sample. Flux increment and measurement share the noise along e(φ).
         gain = F @ Pg + cross_covariance * np.array([c, s, 0.0, 0.0, 0.0])
         P = F @ P @ F.T + Q - np.outer(gain, gain) / innovation_variance
         P = (P + P.T) / 2

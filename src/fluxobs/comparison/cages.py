@@ -1,7 +1,7 @@
 """The observers of induction machines, with their usual gains and a grid for tuning.
 
 Usual gains: 0.2 for the damping of the reduced-order observer (motulator). Crossovers, bandwidths
-and covariances have no usual values; ours are right within a small factor.
+and covariances have no usual values; the values here are right within a small factor.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .baselines.cage import (
 )
 from .catalogue import CATALOGUE, PLL, Entry, Gains, Setting, baseline
 
-#: Entries of the other catalogue that suit a cage: they need no flux of known magnitude.
+#: Entries of the general catalogue that suit a cage, because they need no known flux magnitude.
 SHARED = ("least squares", "voltage model, low-pass", "voltage model, high-pass")
 
 

@@ -3,7 +3,7 @@
 Usual gains: 0.2 |ω| for the voltage model, 1000 1/s for the gradient (ODrive), level 1 for the
 clamp, 1 and 2π 40 rad/s for the speed-adaptive observer (motulator), 2π 40 rad/s for phase-locked
 loops. The covariances of the Kalman filters, the cutoffs of the EMF observers, and the rates and
-corners of PEBO and DREM have no usual values; ours are right within a small factor.
+corners of PEBO and DREM have no usual values; the values here are right within a small factor.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Setting:
     speed_e : float
         Rated electrical speed [rad/s].
     current, voltage : float
-        Rated peak values [A], [V].
+        Rated peak current [A]; rated peak voltage [V].
     noise : float
         Std of a current component [A].
     drift_prior : float or None
@@ -93,7 +93,7 @@ class Entry:
     least_squares: bool = False
 
     def candidates(self, setting: Setting) -> Iterator[Gains]:
-        """Yield the recommended gains, then those of the grid."""
+        """Yield the recommended gains, then the gains of the grid."""
         yield self.recommended(setting)
         grid = self.grid(setting)
         for values in product(*grid.values()):
@@ -140,7 +140,7 @@ def _build_on_regression(s: Setting, inner: Any, g: Gains) -> OnRegression:
 
 def _build_pebo(s: Setting, g: Gains) -> OnRegression:
     rows, _ = _regression_rows(s, g["corner"])
-    phi = np.asarray(rows.Phi_flux)[len(rows.y) // 4 :]  # without the start-up of the filters
+    phi = np.asarray(rows.Phi_flux)[len(rows.y) // 4 :]  # after the start-up of the filters
     Gamma = g["rate"] / np.mean(phi**2)
     return _build_on_regression(s, PEBO(2, "gradient", float(Gamma)), g)
 
@@ -174,7 +174,7 @@ def _build_kalman(s: Setting, g: Gains, with_drift: bool) -> KalmanFilter:
 def baseline(
     kind: Callable[..., Baseline], **constants: Any
 ) -> Callable[[Setting, Gains], Observer[Any, Any]]:
-    """Return the constructor of a baseline with its gains and constant arguments."""
+    """Return a function that builds a baseline from gains and these constant arguments."""
     return lambda s, g: kind(s.motor, s.sample_time, **g, **constants)
 
 

@@ -31,9 +31,9 @@ from .catalogue import Entry, Gains, Setting
 from .scenarios import SCENARIOS, Scenario, believed_machine, run_scenario
 from .scoring import Score, Truth, score, scored_error, true_speed
 
-#: Number of gain sets that each observer runs at once; equal for all, to compare run times.
+#: Number of gain sets that each observer runs at once; equal for comparable run times.
 LANES = 24
-#: Suffix of the name of the least squares with its tracked angle.
+#: Suffix that names the least squares' tracked angle.
 TRACKED = ", tracked"
 
 
@@ -44,7 +44,7 @@ class ObserverResult:
     Attributes
     ----------
     recommended, tuned : Score
-        With the gains of the literature, and with the gains of smallest rms position error.
+        Scores with the gains of the literature, and with the gains of smallest rms position error.
     recommended_gains, gains : dict
         Gains of the literature; tuned gains.
     error : (rows,) ndarray
@@ -72,7 +72,7 @@ class Comparison:
         Rms of the Cramér–Rao bound over the scored rows [rad]; None without current noise, for
         salient machines, with wrong parameters, and for logs.
     limit : str
-        Limitation of the least squares on this record besides noise; a phrase.
+        Phrase that names the limitation of the least squares on this record, besides noise.
     """
 
     title: str
@@ -172,8 +172,8 @@ def compare_record(
 ) -> Comparison:
     """Run and score all observers on a record.
 
-    `voltage` and `current` are (rows, 2). The voltage of row k is the mean over the interval that
-    ends at row k, NaN where missing.
+    `voltage` and `current` have the shape (rows, 2). The voltage of row k is the mean over the
+    interval that ends at row k, NaN where missing.
     """
     selected = entries_for(setting.machine) if entries is None else entries
     measured = jnp.asarray(voltage), jnp.asarray(current)
@@ -247,7 +247,7 @@ def compare(
     seed : int
         Seed of a scenario's sensor noise.
     settle : float
-        Initial time of a log that is not scored, in which observers settle [s].
+        Initial time of a log [s], in which observers settle and are not scored.
     progress : callable
         Called with the name of each observer as it runs.
     layout : optional

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 LEAST_SQUARES = "least squares"
-#: An error within this factor of the smallest counts as equally good.
+#: An error within this factor of the smallest error counts as equally good.
 NEAR = 1.1
 
 
@@ -38,31 +38,35 @@ def other_results(comparison: Comparison) -> list[ObserverResult]:
 
 
 def verdict(comparison: Comparison) -> str:
-    """Compare the least squares with the best observer and the bound, and give the reason."""
+    """Compare the least squares with the best observer and the bound; explain a difference."""
     least_squares, best = least_squares_result(comparison), comparison.best
     rms = np.degrees(least_squares.tuned.rms)
     text = f"The least squares has {_degrees(rms)} rms"
     if comparison.bound is not None:
         untracked_rms = comparison.result(LEAST_SQUARES).tuned.rms
         text += (
-            f"; untracked {untracked_rms / comparison.bound:.2f} times the Cramér-Rao bound, "
-            f"{_degrees(np.degrees(comparison.bound))}, for an angle without a motion model"
+            f"; its untracked angle has {untracked_rms / comparison.bound:.2f} times the "
+            f"Cramér-Rao bound of {_degrees(np.degrees(comparison.bound))} for an angle without "
+            "a motion model"
         )
     text += _describe_validity(comparison.result(LEAST_SQUARES).recommended)
     if least_squares.tuned.rms <= NEAR * best.tuned.rms:
         if best is least_squares:
             for runner_up in other_results(comparison)[:1]:
-                text += f" It is the best, before {runner_up.name}, {_rms(runner_up.tuned)}."
+                text += (
+                    f" The least squares is the best observer; the second best is "
+                    f"{runner_up.name} with {_rms(runner_up.tuned)}."
+                )
         else:
-            text += f" It is within 10 % of the best, {best.name}, {_rms(best.tuned)}."
+            text += f" The best is {best.name} with {_rms(best.tuned)}, at most 10 % better."
         return text
-    text += f" The best is {best.name}, {_rms(best.tuned)}"
+    text += f" The best is {best.name} with {_rms(best.tuned)}"
     return text + (f": {comparison.limit}." if comparison.limit else ".")
 
 
 def _describe_validity(default: Score) -> str:
-    """State the share of valid rows with the default memory, and the largest error there."""
-    text = f". With its default memory {default.claimed:.0%} of the scored rows are valid"
+    """State the share of valid rows and the largest valid error, with the default memory."""
+    text = f". With its default memory, {default.claimed:.0%} of the scored rows are valid"
     if default.claimed:
         text += f", with errors up to {_degrees(np.degrees(default.worst_claimed))}"
     return text + "."
@@ -89,13 +93,13 @@ HEADS = (
 
 def _caption(comparison: Comparison) -> str:
     return (
-        f"{comparison.about}. Gains: usual, and tuned for this record; settled: first 50 ms below "
-        f"10°; time: per sample in JAX, {LANES} settings at once"
+        f"{comparison.about}. Gains are usual or tuned for this record. Settled: first 50 ms below "
+        f"10°. Time: per sample in JAX with {LANES} settings at once"
     )
 
 
 def table_lines(comparison: Comparison) -> list[list[str]]:
-    """Return the lines of the table, best first."""
+    """Return the lines of the table, best observer first."""
     lines = []
     for result in sorted(comparison.results, key=lambda r: r.tuned.rms):
         tuned = result.tuned
@@ -116,7 +120,7 @@ def table_lines(comparison: Comparison) -> list[list[str]]:
 
 
 def table(comparison: Comparison) -> Table:
-    """Return the table for the terminal, best first."""
+    """Return the table for the terminal, best observer first."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -315,6 +319,6 @@ def draw_summary(comparisons: Sequence[Comparison], path: Path) -> None:
         for spine in axes.spines.values():
             spine.set_visible(False)
         figure.colorbar(picture, ax=axes, label="position error, rms [°]", pad=0.01)
-        axes.set_title("Gains tuned for each record; bold: best, or within 10 % of it")
+        axes.set_title("Gains tuned for each record; bold: within 10 % of the best")
         write(figure, path)
         plt.close(figure)

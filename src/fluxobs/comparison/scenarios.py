@@ -49,7 +49,7 @@ class Scenario:
     theta_e : float
         Initial angle of the rotor [rad].
     limit : str
-        Limitation of the least squares here besides noise; a phrase.
+        Phrase that names the limitation of the least squares here, besides noise.
     other : dict
         dead_time [share of a sample], drop [share of dc_link], dc_link (profile of shares),
         gain, range [share of rated current].
@@ -148,7 +148,7 @@ def _define_scenarios() -> dict[str, Scenario]:
         speed=((0.0, 0.0), (0.2, 0.1), (1.8, 0.1), (2.2, -0.1)),
         load=((1.2, 0.0), (1.2, 1.0)),
         limit="with unknown drift only the rotation of the flux carries information; a filter that "
-        "knows psi and assumes zero drift has more",
+        "knows psi and assumes zero drift has more information",
     )
     add(
         "low-speed-1",
@@ -192,8 +192,8 @@ def _define_scenarios() -> dict[str, Scenario]:
         "gain-mismatch",
         "phase current sensors with gains 1.02, 0.98 and 1",
         other={"gain": (1.02, 0.98, 1.0)},
-        limit="unequal gains make L i an ellipse: an error at twice the frequency, partly taken as "
-        "a drift",
+        limit="unequal gains make L i an ellipse: the error has twice the frequency and is partly "
+        "estimated as a drift",
     )
     add(
         "sensor-saturation",

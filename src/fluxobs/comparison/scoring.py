@@ -43,9 +43,9 @@ class Score:
     lost : float
         Share of the scored rows with an error above 60°.
     claimed : float
-        Share of the scored rows that the observer calls valid.
+        Share of the scored rows that the observer marks as valid.
     worst_claimed : float
-        Largest absolute position error on those rows [rad].
+        Largest absolute position error on the scored valid rows [rad].
     """
 
     rms: float
@@ -77,8 +77,8 @@ def true_speed(
 ) -> Array:
     """Return the electrical speed of the position [rad/s].
 
-    For a cage it is the derivative of the position, which follows the rotor flux; else it follows
-    from the mechanical speed.
+    For a cage, the speed is the derivative of the position, the angle of the rotor flux. For other
+    machines, it is computed from the mechanical speed.
     """
     if not machine.flux_moves:
         return machine.n_p * np.asarray(speed, float)

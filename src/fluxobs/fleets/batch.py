@@ -1,4 +1,4 @@
-"""Estimate many logs: each to its own file and row, and a table of all rows."""
+"""Estimate many logs: write one file and one row per log, and a table of all rows."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .log_task import (
 )
 from .sources import Source, shared, sources
 
-#: Files in the folder of the results: its mark, and the summary table in two formats.
+#: Files in the folder of the results: description of the folder, summary table in two formats.
 MARK, TABLE, TEXT = "fleet.json", "summary.parquet", "summary.csv"
 
 
@@ -85,14 +85,14 @@ def estimate_many(
     workers, scheduler
         See :func:`fluxobs.core.engine.compute`.
     progress : callable
-        Called with the number of finished logs and the number of all.
+        Called with the numbers of finished logs and of all logs.
     options : optional
         Further arguments of :func:`fluxobs.estimate`, including the layout.
 
     Raises
     ------
     FluxobsError
-        No log is found, the folder holds something else, or it cannot be written.
+        No log is found, the folder holds other files, or the folder cannot be written.
     """
     root = _read_root(Path(out))
     log_sources = sources(logs, drive, root)
@@ -100,12 +100,12 @@ def estimate_many(
         raise UsageError(f"retry {retry!r}: give none, failed or all")
     settings = Settings(_absolute(str(machine)), _json(options))
     if "{drive}" not in settings.machine:
-        as_machine(settings.machine)  # report a wrong name once, not in each row
+        as_machine(settings.machine)  # report a wrong name only once
     folder = _open_folder(Path(out), shared([source.address for source in log_sources]))
     with locked(folder):
         for name in (ESTIMATES, LOGS):
             make_folder(folder / name)
-        machine_of = cache(as_machine)  # per run: machine files may change between runs
+        machine_of = cache(as_machine)  # cached per run, since machine files change
         due = [
             source for source in log_sources if _is_due(folder, source, settings, retry, machine_of)
         ]
@@ -130,7 +130,7 @@ def open_fleet(folder: str | Path) -> Fleet:
     Raises
     ------
     FluxobsError
-        The folder holds no results, or they cannot be read.
+        The folder holds no results, or the results cannot be read.
     """
     path = Path(folder) / TABLE
     if not path.exists():
@@ -138,14 +138,14 @@ def open_fleet(folder: str | Path) -> Fleet:
             f"{folder}: holds no {TABLE}; `fluxobs estimate LOGS… --out {folder}` creates it"
         )
     try:
-        with path.open("rb") as file:  # Polars would read a path as a pattern, and as UTF-8
+        with path.open("rb") as file:  # Polars would read a path as a UTF-8 pattern
             return Fleet(Path(folder), pl.read_parquet(file))
     except (OSError, pl.exceptions.PolarsError) as error:
         raise FluxobsError(f"{path}: cannot be read: {error}") from None
 
 
 def _absolute(machine: str) -> str:
-    """Return a shipped machine's name as it is; a path absolute, for workers elsewhere."""
+    """Return a shipped machine's name unchanged, and a path as absolute, for workers elsewhere."""
     return machine if machine in example_names() else str(Path(machine).absolute())
 
 
@@ -163,7 +163,7 @@ def _path(value: Any) -> str:
 
 
 def _read_root(out: Path) -> str | None:
-    """Return the common folder of the logs of earlier runs; None if there are none."""
+    """Return the common folder of the logs of earlier runs; None without earlier runs."""
     try:
         return str(json.loads((out / MARK).read_text(encoding="utf-8"))["root"])
     except (OSError, ValueError, KeyError):
@@ -188,7 +188,7 @@ def _is_due(
     retry: str,
     machine_of: Callable[[str], Machine],
 ) -> bool:
-    """Return whether to process a log: new, changed stamp or settings, or to be retried."""
+    """Return whether to process a log: it is new or due again, or stamp or settings changed."""
     stored = StoredLog.of(folder, source)
     stored_note = stored.read()
     if stored_note is None or retry == "all":
@@ -210,14 +210,14 @@ def _is_due(
 
 def _row_of_dead_worker(source: Source) -> dict[str, Any]:
     """Return the row of a log whose worker repeatedly died."""
-    message = "its worker died five times, probably out of memory; take fewer workers"
+    message = "its worker died five times, probably out of memory; use fewer workers"
     return new_row(source) | {"failed": f"{source}: {message}"}
 
 
 def _rows(
     folder: Path, log_sources: Sequence[Source], new_rows: dict[str, dict[str, Any]]
 ) -> Iterator[dict[str, Any]]:
-    """Yield the rows of all logs in the folder, including earlier runs, by name."""
+    """Yield the rows of all logs in the folder, including earlier runs, sorted by name."""
     drives = {source.name: source.drive for source in log_sources}
     stored = {
         path.relative_to(folder / LOGS).as_posix() for path in (folder / LOGS).rglob("*.json")

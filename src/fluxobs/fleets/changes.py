@@ -1,7 +1,7 @@
 """One parameter of one drive over time: its level, its trend and its changes.
 
-Each value has its own standard deviation. Values scatter more than that, for example with the
-ambient temperature; this excess scatter is estimated and added.
+Each value has its own standard deviation. Values scatter more than their standard deviations, for
+example with the ambient temperature; this excess scatter is estimated and added.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 
 from ..core.arrays import Array
 
-#: Smallest number of values on each side of a change, and for a trend.
+#: Smallest number of values on each side of a change; smallest number for a trend.
 LEAST, LEAST_FOR_TREND = 3, 5
-#: A trend counts if its slope is this many standard deviations from zero.
+#: A trend is significant if its slope exceeds this many standard deviations.
 SURE = 4.0
-#: Probability that a change is found in a series without one; sets :func:`penalty`.
+#: Probability of finding a change in a series without a change; it sets :func:`penalty`.
 FALSE_ALARM = 0.01
-#: Degrees of freedom per value of an estimate by a median, relative to a mean of squares.
+#: Degrees of freedom per value of a median-based variance, relative to a mean of squares.
 EFFICIENCY = 0.37
 
 
@@ -40,11 +40,11 @@ class Course:
     Attributes
     ----------
     segments : tuple of Segment
-        At least one; more if the level changed.
+        At least one segment; one more for each change of the level.
     scatter : float
         Scatter of the values in excess of their standard deviations.
     slope, slope_std : float
-        Trend per second over the last segment; 0 and infinite with too few values.
+        Trend per second over the last segment; with too few values, 0 with infinite std.
     """
 
     segments: tuple[Segment, ...]
@@ -59,7 +59,7 @@ class Course:
 
     @property
     def jumps(self) -> tuple[tuple[int, float, float], ...]:
-        """All changes: index of the first value after it, size of the change, and its std."""
+        """All changes as (index of the first value after the change, size, std of the size)."""
         return tuple(
             (b.first, b.mean - a.mean, float(np.hypot(a.std, b.std)))
             for a, b in pairwise(self.segments)
@@ -101,7 +101,7 @@ def scatter_of(t: Array, values: Array, stds: Array) -> float:
     differences = values[1:-1] - (1 - ratio) * values[:-2] - ratio * values[2:]
     gain = 1 + (1 - ratio) ** 2 + ratio**2
     variance = stds[1:-1] ** 2 + (1 - ratio) ** 2 * stds[:-2] ** 2 + ratio**2 * stds[2:] ** 2
-    # The median of a squared standard normal number is 0.4549; no gain is below 1.5.
+    # 0.4549 is the median of a squared standard normal number; 1.5 is the smallest gain.
     lower, upper = 0.0, float(np.max(differences**2)) / (1.5 * 0.4549)
     if np.median(differences**2 / variance) <= 0.4549:
         return 0.0
@@ -117,9 +117,9 @@ def scatter_of(t: Array, values: Array, stds: Array) -> float:
 def penalty(n: int) -> float:
     """Return the reduction of χ² that a change must bring.
 
-    Chance alone exceeds it in one of a hundred series. This is the largest of n dependent gains,
-    bounded as if they were independent, in Student's distribution because the scatter is itself an
-    estimate (tests/fleets/test_changes.py measures the rate of false alarms).
+    Chance alone exceeds this penalty in one of a hundred series. The penalty bounds the largest of
+    n dependent gains as if the gains were independent. It uses Student's distribution because the
+    scatter is itself an estimate (tests/fleets/test_changes.py measures the rate of false alarms).
     """
     from scipy.stats import t
 
@@ -129,9 +129,9 @@ def penalty(n: int) -> float:
 def change_points(values: Array, variance: Array) -> list[int]:
     """Return the edges of the segments of constant level that minimise χ² plus penalties.
 
-    Exact, by dynamic programming over the last change: B. Jackson et al., "An algorithm for optimal
-    partitioning of data on an interval", IEEE Signal Processing Letters 12 (2005),
-    doi:10.1109/LSP.2001.838216.
+    The minimum is exact, by dynamic programming over the last change: B. Jackson et al., "An
+    algorithm for optimal partitioning of data on an interval", IEEE Signal Processing Letters 12
+    (2005), doi:10.1109/LSP.2001.838216.
     """
     n = len(values)
     if n < 2 * LEAST:
@@ -157,7 +157,7 @@ def change_points(values: Array, variance: Array) -> list[int]:
 
 
 def _is_line(t: Array, values: Array, variance: Array, edges: list[int]) -> bool:
-    """Return whether one slope explains the values as well as a staircase of steps does."""
+    """Return whether a line with one slope fits the values as well as the steps."""
     steps_cost = 0.0
     for first, last in pairwise(edges):
         level = np.average(values[first:last], weights=1 / variance[first:last])
@@ -171,7 +171,7 @@ def _is_line(t: Array, values: Array, variance: Array, edges: list[int]) -> bool
 
 
 def trend(t: Array, values: Array, variance: Array) -> tuple[float, float]:
-    """Return the slope of the weighted line, and its standard deviation."""
+    """Return (slope, standard deviation of the slope) of the weighted line."""
     if len(t) < LEAST_FOR_TREND or not np.ptp(t) > 0:
         return 0.0, float("inf")
     w = 1 / variance

@@ -25,13 +25,13 @@ FOLLOWED = {
     "offset_alpha": ("offset_std", "A", "current offset α"),
     "offset_beta": ("offset_std", "A", "current offset β"),
 }
-#: A drive differs from the others beyond this many standard deviations of their scatter.
+#: A drive differs from the other drives beyond this many standard deviations of their scatter.
 UNLIKE = 5.0
 #: Smallest number of drives for this comparison.
 FEWEST = 5
-#: A value crosses a limit when it is this many standard deviations beyond.
+#: A value crosses a limit when it is this many standard deviations beyond the limit.
 BEYOND = 2.0
-#: A remark states when a trend reaches its limit if that is within this time [s].
+#: A remark states when a trend will reach a limit, if the trend does so within this time [s].
 AHEAD = 5 * 365.25 * 86400
 
 YEAR = 365.25 * 86400
@@ -93,7 +93,7 @@ class Followed:
     course : Course
     limits : (low, high), optional
     remarks : tuple of str
-        Findings, the most important first.
+        Sentences on limits, changes, trends and differences, in this order.
     crossed : bool
         Whether a limit is crossed.
     """
@@ -133,24 +133,24 @@ class Followed:
 
 
 def _first_level(t: Array, course: Course) -> float:
-    """Return the level at the first time: on the trend, if a trend covers the whole series."""
+    """Return the level at the first time, taken from the trend if it covers the whole series."""
     trend = course.slope if course.drifts and len(course.segments) == 1 else 0.0
     return course.segments[0].mean + trend * float(t[0] - np.mean(t))
 
 
 def follow(table: pl.DataFrame, limits: Sequence[Limit] = ()) -> list[Followed]:
-    """Follow each parameter of each drive that at least one of its logs identifies.
+    """Follow each parameter of each drive that at least one log of the drive identifies.
 
     Parameters
     ----------
     table : DataFrame
         Table of :class:`fluxobs.fleets.Fleet`.
     limits : sequence of Limit
-        At most one per parameter.
+        At most one limit per parameter.
     """
     by_name = {limit.name: limit for limit in limits}
     if len(by_name) < len(limits):
-        raise UsageError("limits: a parameter has two; give one LOW..HIGH")
+        raise UsageError("limits: a parameter has two limits; give one LOW..HIGH")
     usable_logs = table.filter(pl.col("failed").is_null() & pl.col("time").is_not_null())
     all_followed = []
     for name, (std, _, _) in FOLLOWED.items():
@@ -194,7 +194,8 @@ def _limit_remarks(
         return []
     unit, label = FOLLOWED[name][1:]
     first = outside[0]
-    others = f", and {len(outside) - 1} more" if outside[1:].size else ""
+    more = len(outside) - 1
+    others = f" and {more} more log{'' if more == 1 else 's'}" if more else ""
     return [
         f"{label} {si(values[first], unit)} is outside {si(lower, unit)} to {si(upper, unit)} in "
         f"{logs[first]}{others}"
@@ -237,12 +238,12 @@ def _trend_remarks(
     remaining = ((bounds[1] if course.slope > 0 else bounds[0]) - level) / course.slope
     if 0 < remaining < AHEAD:
         date = datetime.fromtimestamp(t[-1], UTC) + timedelta(seconds=remaining)
-        text += f"; it reaches its limit in {date:%B %Y}"
+        text += f"; it will reach the limit in {date:%B %Y}"
     return [text]
 
 
 def _mark_unlike(followed: list[Followed]) -> list[Followed]:
-    """Add a remark to drives that differ from the others."""
+    """Add a remark to drives that differ from the other drives."""
     if len(followed) < FEWEST:
         return followed
     levels = np.array([item.level for item in followed])
@@ -255,8 +256,8 @@ def _mark_unlike(followed: list[Followed]) -> list[Followed]:
         if unlike and len(item.values) >= 1:
             unit, label = FOLLOWED[item.name][1:]
             remark = (
-                f"{label} {si(level, unit)} differs from the other drives, {si(median, unit)} ± "
-                f"{si(spread, unit)}"
+                f"{label} {si(level, unit)} differs from the other drives ({si(median, unit)} ± "
+                f"{si(spread, unit)})"
             )
             remarked.append(replace(item, remarks=(*item.remarks, remark)))
         else:
@@ -269,31 +270,31 @@ def _signed(value: float, unit: str) -> str:
 
 
 def describe_undated(table: pl.DataFrame) -> str:
-    """Describe the logs without a time, which are ignored; empty if all have one."""
+    """Describe the logs that are ignored because they have no time; empty if there are none."""
     count = len(table.filter(pl.col("failed").is_null() & pl.col("time").is_null()))
     if not count:
         return ""
     subject = "log has no time and is" if count == 1 else "logs have no time and are"
-    return f"{count} {subject} ignored: put the date into the name, 2024-05-17."
+    return f"{count} {subject} ignored: write a date like 2024-05-17 into the name."
 
 
 def untold(followed: Sequence[Followed], limits: Sequence[Limit]) -> list[str]:
     """List the limits on parameters that no log identifies."""
     names = {item.name for item in followed}
     return [
-        f"limit on {FOLLOWED[limit.name][2]}: no log identifies it"
+        f"limit on {FOLLOWED[limit.name][2]}: no log identifies this parameter"
         for limit in limits
         if limit.name not in names
     ]
 
 
 def describe_too_few(table: pl.DataFrame) -> str:
-    """Explain that the drives have too few logs to find changes; empty if they have enough."""
+    """Explain that too few logs per drive exist to find changes; empty if there are enough."""
     logs = table.filter(pl.col("failed").is_null())
     largest = int(logs.group_by("drive").len()["len"].max() or 0) if len(logs) else 0  # type: ignore[arg-type]
     if largest >= 2 * LEAST:
         return ""
     return (
-        f"No drive has more than {largest} logs; changes need {2 * LEAST}. If the logs of a folder "
-        f"belong to several drives, give `fluxobs estimate … --drive`."
+        f"No drive has more than {largest} logs; finding changes needs {2 * LEAST} logs. If the "
+        "logs of a folder belong to several drives, give `fluxobs estimate … --drive`."
     )

@@ -1,4 +1,4 @@
-"""One log of many: the task of a worker, and its row."""
+"""The task of a worker: estimate one of many logs and return its row."""
 
 from __future__ import annotations
 
@@ -124,12 +124,12 @@ class LogTask:
         except FluxobsError as error:
             row["failed"] = str(error)
         except MemoryError:
-            row["failed"] = f"{source}: out of memory; take fewer workers"
-        except Exception as error:  # one log must not stop the others
+            row["failed"] = f"{source}: out of memory; use fewer workers"
+        except Exception as error:  # one log must not stop the other logs
             row["failed"] = f"{source}: {type(error).__name__}: {error}"
         if row["failed"] is not None:
             key = key_of("", self.settings, machine)
-            with suppress(OSError):  # they belong to earlier content
+            with suppress(OSError):  # estimates of earlier content
                 stored.estimates.unlink(missing_ok=True)
         row["seconds"] = time.perf_counter() - started
         try:
@@ -255,7 +255,7 @@ def row_of(stored: dict[str, Any]) -> dict[str, Any]:
 def key_of(content: str, settings: Settings, machine: Machine | None) -> str:
     """Return a hash of log, machine, settings and version of fluxobs.
 
-    A failed log has an empty content, and no machine if the machine could not be read.
+    For a failed log, the content is empty; an unreadable machine is None.
     """
     fields = (content, repr(machine), settings.options, version("fluxobs"))
     return hashlib.sha256("\n".join(fields).encode()).hexdigest()

@@ -128,7 +128,7 @@ def picture(followed: Sequence[Followed], drive: str) -> Figure:
             middle = times[0] + (times[-1] - times[0]) // 2
             axis.set_xlim(middle - SPAN // 2, middle + SPAN // 2)
         axis.set_title(f"{FOLLOWED[item.name][2]} [{item.unit}]")
-        # With fewer than two ticks the locator finds no interval for three days, and warns.
+        # With `minticks` below 2, the locator finds no interval for three days and warns.
         locator: Any = AutoDateLocator(minticks=2, maxticks=5)  # type: ignore[no-untyped-call]
         axis.xaxis.set_major_locator(locator)
         axis.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]

@@ -1,4 +1,4 @@
-"""Find logs: from files, patterns, folders and URLs to a list of logs with names."""
+"""Find the logs that files, patterns, folders and URLs denote, and name the logs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any
 from ..errors import FluxobsError, UsageError
 from ..logs.formats import FORMATS
 
-#: Suffixes of text logs; in a folder, only these and the suffixes of known formats are logs.
+#: Suffixes of text logs. In a folder, logs have one of these suffixes or that of a known format.
 TEXT = (".csv", ".txt", ".tsv", ".lvm", ".asc", ".log", ".dat", ".gz")
 #: Names of text files that are not logs.
 WORDS = ("readme", "license", "licence", "changelog", "notes", "requirements")
@@ -40,7 +40,7 @@ class Source:
     name : str
         Path below the common folder of all logs; the results of the log have this name.
     drive : str
-        The drive that recorded it.
+        The drive that recorded the log.
     """
 
     address: str
@@ -57,7 +57,7 @@ class Source:
     def stamp(self) -> str:
         """Return size and time of the log, to detect changes without reading it; empty if unknown.
 
-        A URL has the key of its file system instead.
+        For a URL, return the key of its file system.
         """
         if self.remote:
             system, path = _filesystem(self.address)
@@ -74,7 +74,7 @@ class Source:
     def time(self) -> datetime | None:
         """Return the time of recording: the date in the name, else the file's last change."""
         dates = list(DATE.finditer(self.name))
-        if dates:  # take the last one: folders may have dates too
+        if dates:  # the last date: folders may have dates too
             year, month, day, hour, minute, second = (
                 int(digits) if digits else 0 for digits in dates[-1].groups()
             )
@@ -89,7 +89,7 @@ class Source:
 
     @contextmanager
     def local(self) -> Iterator[Path]:
-        """Provide the log as a local file; a remote one is fetched and deleted afterwards.
+        """Provide the log as a local file; a remote log is fetched, and later deleted.
 
         Raises
         ------
@@ -125,7 +125,8 @@ def sources(
         Regular expression that finds the drive in the path: its first group, or the whole match.
         Default: the folder of the log below the common folder of all logs.
     root : str, optional
-        Common folder of the logs of an earlier run (:func:`shared`), which keeps their names.
+        Common folder of the logs of an earlier run (:func:`shared`); it keeps the names of the
+        logs.
 
     Raises
     ------
@@ -176,7 +177,7 @@ def _is_log(name: str) -> bool:
 
 
 def _is_there(path: Path) -> bool:
-    """Accept files, and broken links for their row with the reason; never pipes, which block."""
+    """Accept files and broken links, whose row states the reason; reject pipes, which block."""
     return path.is_file() or (path.is_symlink() and not path.exists())
 
 
@@ -214,7 +215,7 @@ def _list_remote(url: str) -> list[str]:
 
 
 def _filesystem(address: str) -> tuple[Any, str]:
-    """Return the file system of a URL, and the path in it."""
+    """Return (file system of a URL, path in the file system)."""
     scheme = address.partition("://")[0]
     try:
         from fsspec.core import url_to_fs

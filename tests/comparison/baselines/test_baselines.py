@@ -1,4 +1,4 @@
-"""Observers in common use: each finds the angle where its assumptions hold."""
+"""Each observer in common use finds the angle when its assumptions are met."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fluxobs.simulation.drive import Motor
 from support.records import CURRENTS, MACHINES, steady, wrapped_degrees
 
 H = 1.25e-4
-#: rms error [°] with recommended gains on a clean record at constant speed, scored late.
+#: rms error [°] with recommended gains at the end of a clean record at constant speed.
 LIMITS = dict.fromkeys((entry.name for entry in CATALOGUE), 0.1)
 LIMITS |= {"voltage model, low-pass": 1.0, "voltage model, high-pass": 1.0}
 
@@ -72,14 +72,14 @@ def test_salient_machines_through_their_active_flux(name, machine_name):
 
 
 def test_error_of_a_bias_as_in_the_literature():
-    """To first order the stationary circle of the gradient observer shifts by drift over gain."""
+    """The stationary circle of the gradient observer shifts by drift/gain (first order)."""
     machine, data = clean("pmsm-2kw2", voltage_bias=2.0)
     motor = Motor.of(machine)
     guess = run(
         LengthGradient(motor, H, 100.0, 500.0), jnp.asarray(data.voltage), jnp.asarray(data.current)
     )
     error = late_error(machine, data, guess)
-    # x' = … + δ with radial rate g: a ripple of about δ/(ψ ω) to δ/(ψ g/2).
+    # The drift δ with radial rate g causes a ripple of about δ/(ψ ω) to δ/(ψ g/2).
     assert 0.3 * 2.0 / (0.545 * 300) < np.radians(error) < 2 * 2.0 / (0.545 * 50)
     assert error > 0.3
 
@@ -117,7 +117,7 @@ def test_a_drift_state_removes_a_bias():
 
 
 def test_a_missing_first_voltage_does_no_harm():
-    """The interval before the first row is not in a record."""
+    """A record does not contain the interval before its first row."""
     machine, data = clean("pmsm-2kw2")
     u = data.voltage.copy()
     u[0] = np.nan

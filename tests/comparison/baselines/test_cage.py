@@ -20,7 +20,7 @@ CAGE_ONLY = [entry for entry in CAGES if entry.name not in SHARED]
 
 
 class Setting:
-    """Machine and scales of the record."""
+    """The machine and the scales of the record."""
 
     motor, sample_time, speed_e = MOTOR, H, 314.0
     voltage, current, filter_noise = 283.0, 7.1, 0.02

@@ -27,8 +27,8 @@ def campaign(
         Path,
         typer.Argument(
             metavar="SPEC.toml|FOLDER",
-            help="Specification of a new campaign; or the folder of an existing one, to resume "
-            "it, show it, or rerun one of its scenarios.",
+            help="Specification of a new campaign; or folder of an existing campaign, to resume or "
+            "show the campaign or to rerun a scenario.",
         ),
     ],
     out: Annotated[
@@ -41,19 +41,23 @@ def campaign(
         int | None, typer.Option(min=0, help="Number of one scenario to simulate again.")
     ] = None,
     observer: Annotated[
-        str | None, typer.Option(help="Observer for --rerun or --search; default: the first.")
+        str | None,
+        typer.Option(
+            help="Observer for --rerun or --search; default: the campaign's first observer."
+        ),
     ] = None,
     search: Annotated[
         str | None,
         typer.Option(
             metavar="worst|failures",
-            help="worst: find the tolerances that make --observer fail (CMA-ES), starting from the "
-            "worst scenario so far. failures: estimate the probability that a scenario is not good "
-            "(importance sampling).",
+            help="worst: find the tolerances with the largest error of --observer (CMA-ES), "
+            "starting from the worst scenario so far. failures: estimate the probability that "
+            "a scenario is not good (importance sampling).",
         ),
     ] = None,
     machine: Annotated[
-        str | None, typer.Option(help="Machine for --search; default: the first.")
+        str | None,
+        typer.Option(help="Machine for --search; default: the campaign's first machine."),
     ] = None,
     budget: Annotated[
         int | None, typer.Option(min=64, help="Number of scenarios of the search; default 1024.")
@@ -66,7 +70,7 @@ def campaign(
     ] = None,
     force: ForceOption = False,
 ) -> None:
-    """Simulate thousands of drives within their tolerances; report in how many an observer is good.
+    """Simulate thousands of drives within their tolerances; report the share of good estimates.
 
     Writes a dataset (one row per scenario and observer), report.html, and the worst scenarios with
     their records. The same command resumes a run that was stopped or killed. Exit code 1: a limit
@@ -121,12 +125,14 @@ def _run(source: Path, out: Path | None, workers: int | None, scheduler: str) ->
             raise UsageError(f"--out: {source} is already the folder of the results")
         existing = open_dataset(source)
         if existing.changed and not existing.lacking():
-            show.say(f"Warning: its rows cannot be repeated: {existing.changed}.", err=True)
+            show.say(
+                f"Warning: the campaign's rows cannot be repeated: {existing.changed}.", err=True
+            )
             return _show(existing)
         specification, out = existing.specification, source
     elif out is None:
-        raise UsageError("--out FOLDER is missing; the results go there")
-    with show.Progress("finished scenarios are kept; the same command resumes") as progress:
+        raise UsageError("--out is missing: give a folder for the results")
+    with show.Progress("finished scenarios are kept; run the same command to resume") as progress:
         dataset = run(specification, out, workers=workers, scheduler=scheduler, progress=progress)
     return _show(dataset)
 
@@ -180,7 +186,7 @@ def _rerun(
                 else f"{name:{width}}  {value}"
             )
     if record is not None:
-        check_new(record, (".parquet",), force, "--record")  # again: it may exist by now
+        check_new(record, (".parquet",), force, "--record")  # again: the file may exist by now
         write_record(scenario, record)
         show.say(f"Written: {record}")
     if report is not None:
@@ -218,8 +224,9 @@ def _search(
         )
     row = worst.row
     show.echo(
-        f"Worst of {worst.tried} scenarios of {observer} on {machine}: {degrees(row['worst'])} on "
-        f"a valid row, {degrees(row['rms'])} rms, with course and noise of scenario {worst.like}:"
+        f"Largest error of {observer} on {machine} in {worst.tried} scenarios: "
+        f"{degrees(row['worst'])} on a valid row, {degrees(row['rms'])} rms, with course and "
+        f"noise of scenario {worst.like}:"
     )
     width = max(len(name) for name in worst.values)
     for name, value in worst.values.items():

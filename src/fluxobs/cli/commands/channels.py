@@ -16,14 +16,16 @@ def channels(
     log: LogArgument,
     join: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="Another file of the same run; may be repeated."),
+        typer.Option(
+            metavar="FILE", help="Another file of the same run; the option may be repeated."
+        ),
     ] = None,
     header: Annotated[
         str | None, typer.Option(metavar="NAMES", help="Column names of a file without a header.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the columns of a log: unit, rate, range, first values, and the channel each is taken as.
+    """List the columns of a log with their unit, rate, range, first values and channel.
 
     Example: fluxobs channels LOG.csv
     """

@@ -26,7 +26,7 @@ def check(
     layout: dict[str, Any],
     cold_resistance: Annotated[
         float | None,
-        typer.Option(help="Ohm; phase resistance at 20 °C, to compute the winding temperature."),
+        typer.Option(help="Phase resistance at 20 °C in ohms, to compute the winding temperature."),
     ] = None,
     only_mistakes: Annotated[
         bool,
@@ -40,14 +40,14 @@ def check(
     """Test a log for the usual mistakes, then examine the drive.
 
     First checks the columns: duplicates, raw counts, an angle in degrees, spikes. Then tests the
-    sign, phase order and frame of the current, voltage lags from two samples earlier to two later,
-    scales of the log or of the machine file (line to line √3, rms √2, power-invariant √1.5, any
-    factor) and, with a true angle, its zero, direction and n_p. Reports what fits best, how
-    clearly, and what this log cannot show. Exit code 1: something fits better than what was given.
+    current (sign, phase order, frame), voltage lags from -2 to 2 samples, scales of the log or of
+    the machine file (line to line √3, rms √2, power-invariant √1.5, any factor) and the true angle,
+    if given (zero, direction, n_p). Reports which settings fit best, how clearly they do, and what
+    this log cannot show. Exit code 1: other settings fit better than the given settings.
 
     Then examines the drive: sampling, converters, offsets, R_s and winding temperature, magnets,
-    inverter, gains, lag, encoder or Hall sensors. Each has a value, a standard deviation and a
-    verdict: "fine", "look at it", or "cannot be told" with the test that would decide.
+    inverter, gains, lag, encoder or Hall sensors. Each result has a value, a standard deviation and
+    a verdict: "fine", "look at it", or "cannot be told" (then it names the test that would decide).
 
     Example: fluxobs check LOG.csv --machine motor.toml --lag -1
     """

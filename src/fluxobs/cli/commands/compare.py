@@ -17,16 +17,16 @@ def compare(
         list[str],
         typer.Argument(
             metavar="LOG|SCENARIO …",
-            help="Logs with a true angle (--truth), or names of scenarios; `list` lists them, "
-            "`all` runs all of them.",
+            help="Logs with a true angle (--truth), or names of scenarios; `list` lists the "
+            "scenarios, `all` runs all scenarios.",
         ),
     ],
     layout: dict[str, Any],
     machine: Annotated[
         Path | None,
         typer.Option(
-            help="Machine file, or a name from `fluxobs machines`. Scenarios run on shipped "
-            "rotating machines only; their default is pmsm-2kw2."
+            help="Machine file, or a name from `fluxobs machines`. Scenarios run only on shipped "
+            "rotating machines; default pmsm-2kw2."
         ),
     ] = None,
     out: Annotated[
@@ -36,15 +36,14 @@ def compare(
     settle: Annotated[
         float,
         typer.Option(
-            help="Seconds at the start of a log that are not scored, while observers settle."
+            help="Seconds at the start of a log, in which observers settle and are not scored."
         ),
     ] = 0.2,
     force: ForceOption = False,
 ) -> None:
     """Run all built-in observers on a log or scenario and score their errors.
 
-    Each observer runs with recommended gains and with the gains from a grid that suit this record
-    best.
+    Each observer runs with recommended gains, and with the best gains of a grid for this record.
 
     Writes scores.csv, report.html, one picture per record, and summary.png for several records.
     Needs the extra "design" (JAX).

@@ -43,9 +43,9 @@ def estimate(
         list[str],
         typer.Argument(
             metavar="LOG…",
-            help="Text (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, npy, JSON, HDF5, MAT, "
-            "MDF4, TDMS, ULog, Excel. `fluxobs channels LOG` lists its columns. Many logs: files, "
-            'patterns, folders, s3://…, gs://…, http(s)://… (extra "cloud").',
+            help="Log file: text (CSV, TXT, LVM, …, also .gz), Parquet, Arrow, npz, npy, JSON, "
+            "HDF5, MAT, MDF4, TDMS, ULog or Excel. `fluxobs channels LOG` lists its columns. "
+            'Many logs: files, patterns, folders, s3://…, gs://…, http(s)://… (extra "cloud").',
         ),
     ],
     machine: MachineOption,
@@ -61,18 +61,19 @@ def estimate(
     memory: Annotated[
         float | None,
         typer.Option(
-            help="Seconds; memory of the least squares. The default, 0.03 (maglev-2dof: 0.15), "
+            help="Memory of the least squares in seconds. The default, 0.03 (maglev-2dof: 0.15), "
             "suits most machines."
         ),
     ] = None,
     unknowns: Annotated[
         str,
         typer.Option(
-            help="Constant or slow unknowns to estimate. auto (default): those that the log needs. "
-            "drift: only the drift of the flux integral. drift with any of resistance, inverter, "
-            "asymmetry: also errors of R_s, of the inverter (dead time, device drops), and unequal "
-            "gains of the phases. current-bias or drift,current-bias: a slower, general least "
-            "squares (0.25 ms per row); current-bias alone assumes that the voltage has no offset."
+            help="Constant or slow unknowns to estimate. auto (default): the unknowns that the log "
+            "needs. drift: only the drift of the flux integral. drift with any of resistance, "
+            "inverter, asymmetry: also errors of R_s, of the inverter (dead time, device "
+            "drops), and unequal gains of the phases. current-bias or drift,current-bias: use "
+            "a slower, general least squares (0.25 ms per row); current-bias alone assumes "
+            "that the voltage has no offset."
         ),
     ] = "auto",
     causal: Annotated[
@@ -87,8 +88,8 @@ def estimate(
     save_machine: Annotated[
         Path | None,
         typer.Option(
-            help="Machine file to write, .toml: the learnt parameters, with standard deviations "
-            "that allow for heating."
+            help="Machine file to write, .toml. It contains the learnt parameters; their standard "
+            "deviations allow for heating."
         ),
     ] = None,
     save_record: SaveRecordOption = None,
@@ -96,14 +97,17 @@ def estimate(
         bool,
         typer.Option(
             "--no-data",
-            help="Leave the log's samples out of an .html report: it is then small and shows the "
-            "estimates, but cannot recompute them.",
+            help="Leave the log's samples out of an .html report. The report is then small and "
+            "shows the estimates, but cannot recompute them.",
         ),
     ] = False,
     drive: DriveOption = None,
     retry: Annotated[
         str | None,
-        typer.Option(help="With many logs: repeat the `failed` ones, or `all`, even if unchanged."),
+        typer.Option(
+            help="With many logs: estimate the `failed` logs or `all` logs again, even if "
+            "unchanged."
+        ),
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = "local",
@@ -118,16 +122,16 @@ def estimate(
     drift_alpha, drift_beta, theta_e_std, torque, speed_mech, valid; with --truth also
     theta_e_error. Exit code 3: no row is valid.
 
-    With more unknowns than the drift, it also writes resistance, inverter_voltage, and the standard
-    deviations of these, of psi_f and of the drift; and a second angle while two are possible. For
-    a maglev-2dof, or with current-bias, it writes flux, position or theta_e, drift and current_bias
-    with their standard deviations, noise_share and valid.
+    With more unknowns than the drift, --out also writes resistance and inverter_voltage; the
+    standard deviations of resistance, inverter_voltage, psi_f and drift; and a second angle while
+    two angles are possible. For a maglev-2dof, or with current-bias, --out writes flux, position or
+    theta_e, drift and current_bias with their standard deviations, and noise_share and valid.
 
     With many logs, writes a file of estimates per log, and a table with one row per log:
-    summary.parquet and summary.csv. The row of a log that failed says why; the exit code is then 1.
-    A repeated command skips logs whose content, machine and settings are unchanged. `{drive}` in
-    --machine stands for the name of the drive. `fluxobs fleet DIR` then follows the parameters over
-    time.
+    summary.parquet and summary.csv. The row of a failed log states the reason; the exit code is
+    then 1. A repeated command skips logs whose content, machine and settings are unchanged.
+    In --machine, `{drive}` is replaced by the name of the drive. `fluxobs fleet DIR` then shows the
+    parameters over time.
 
     Example: fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --lag -1
     """
@@ -166,7 +170,7 @@ def estimate(
         check_path(report)
         check_new(report, REPORTS, force, "--report")
         if html:
-            built("report.html")  # fail now, not after the run, if it is missing
+            built("report.html")  # fail before the run if the template is missing
     if save_record is not None:
         check_new(save_record, (".toml",), force, "--save-record")
     if save_machine is not None:
@@ -196,7 +200,7 @@ def estimate(
         write_record(result.log, save_record, force=force)
         written.append(save_record)
     if report is not None:
-        check_new(report, REPORTS, force, "--report")  # again: it may exist by now
+        check_new(report, REPORTS, force, "--report")  # again: the file may exist by now
         result.write(report, data=not no_data, command=shlex.join(["fluxobs", *sys.argv[1:]]))
         written.append(report)
     if as_json:
@@ -226,7 +230,7 @@ def show_result(result: Result, machine: str, written: Sequence[Path]) -> None:
     if command is not None:
         prefix = "The same observer for firmware"
         if result.adaptive is not None and not result.causal:
-            prefix += ", which learns from past samples"
+            prefix += " (it learns only from past samples)"
         show.say(f"{prefix}: {command}")
     elif result.firmware is not None:
         show.say(result.firmware)

@@ -15,45 +15,47 @@ from ..options import MachineOption, PriorOption, numbers
 def export(
     machine: MachineOption,
     sample_time: Annotated[
-        float, typer.Option(help="Seconds; period of the current-control interrupt.")
+        float, typer.Option(help="Period of the current-control interrupt in seconds.")
     ],
     out: Annotated[Path, typer.Option(help="Folder to create.")],
     unknowns: Annotated[
         str,
         typer.Option(
             help="Unknowns to estimate: drift, or drift with some of resistance, inverter, "
-            "asymmetry (auto: all). With more than drift, exports the adaptive observer, which "
-            "starts within a fraction of a turn."
+            "asymmetry (auto: all). With more unknowns than drift, exports the adaptive "
+            "observer, which starts within a fraction of a turn."
         ),
     ] = "drift",
     memory: Annotated[
         float | None,
         typer.Option(
-            help="Seconds; memory of the least squares. Default 0.03, or less if L/R is small."
+            help="Memory of the least squares in seconds. Default 0.03, or less if L/R is small."
         ),
     ] = None,
     current_noise: Annotated[
         float | None,
         typer.Option(
-            help="Ampere; standard deviation of each current component. Default 0.2 % of the rated "
-            "current. `fluxobs estimate` prints the value it used for a log."
+            help="Standard deviation of each current component in amperes. Default 0.2 % of the "
+            "rated current. `fluxobs estimate` prints the value used for a log."
         ),
     ] = None,
     drift_prior: Annotated[
         float | None,
-        typer.Option(help="Volt; largest plausible drift. Default: computed from the machine."),
+        typer.Option(help="Largest plausible drift in volts. Default: computed from the machine."),
     ] = None,
     prior: PriorOption = None,
     update_every: Annotated[
         int,
         typer.Option(
-            help="Number of interrupts per observer step. More than 1 saves computing time; the "
-            "example interrupt sums up volt-seconds in between."
+            help="Number of interrupts per observer step. A number above 1 saves computing time; "
+            "the example interrupt sums up volt-seconds between the steps."
         ),
     ] = 1,
     prefix: Annotated[
         str,
-        typer.Option(help="Prefix of the generated names; lets one firmware contain two machines."),
+        typer.Option(
+            help="Prefix of the generated names; two prefixes allow two machines in one firmware."
+        ),
     ] = "motor",
     form: Annotated[
         str,
@@ -69,8 +71,8 @@ def export(
     """Export the observer of one machine as C99 for firmware, or for another host (--as).
 
     The folder contains the sources, the machine's parameters, an example interrupt, and test
-    vectors; `make test` in it replays them on this computer. The export computes the same estimates
-    as `fluxobs estimate`, sample by sample.
+    vectors; `make test` in the folder replays the vectors on this computer. The export computes the
+    same estimates as `fluxobs estimate`, sample by sample.
 
     Example: fluxobs export --machine motor.toml --sample-time 5e-5 --out firmware/motor
     """

@@ -11,7 +11,7 @@ import typer
 from .. import show
 from ..options import ForceOption, JsonOption, QuietOption
 
-#: Exit code if a drive exceeds a limit, or no log determines a limited parameter.
+#: Exit code if a drive exceeds a limit, or no log identifies a parameter that has a limit.
 CROSSED = 1
 
 
@@ -19,7 +19,7 @@ def fleet(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="DIR", help="Folder of results of `fluxobs estimate LOGS… --out DIR`."
+            metavar="DIR", help="Folder with the results of `fluxobs estimate LOGS… --out DIR`."
         ),
     ],
     limit: Annotated[
@@ -27,7 +27,8 @@ def fleet(
         typer.Option(
             metavar="NAME=LOW..HIGH",
             help="Limits for resistance, psi_f, inverter_voltage, offset_alpha or offset_beta in "
-            "SI units; NAME=10%: deviation from each drive's first level. May be repeated.",
+            "SI units; NAME=10%: allowed deviation from each drive's first level. The option "
+            "may be repeated.",
         ),
     ] = None,
     report: Annotated[
@@ -37,11 +38,11 @@ def fleet(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Follow the parameters of many drives over time: which changed, when, and which exceed limits.
+    """Track the parameters of many drives over time; report changes, trends and exceeded limits.
 
-    The name of a drive is the folder of its logs, or what `fluxobs estimate … --drive` found. The
-    time of a log is the date in its name, or else its file's. Exit code 1: a drive exceeds a limit,
-    or no log determines a parameter that has a limit.
+    A drive is named after the folder of its logs, or by `fluxobs estimate … --drive`. The time of a
+    log is the date in its name, or else the time of its file. Exit code 1: a drive exceeds a limit,
+    or no log identifies a parameter that has a limit.
 
     Example: fluxobs fleet results --limit resistance=20% --limit psi_f=-5..5%
     """

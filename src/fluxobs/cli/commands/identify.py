@@ -41,15 +41,16 @@ def identify(
         typer.Option(
             help="Parameters to fit: R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, "
             "L_M, inverter, lag. map: the saturation of the machine. R_R, L_M: the cage of an "
-            "induction machine, if its flux changes; R_R also with --truth speed_mech=COLUMN. "
-            "Default R_s,psi_f,inverter, if the machine has them. The others keep their values."
+            "induction machine, identifiable if the flux changes; R_R also with --truth "
+            "speed_mech=COLUMN. Default R_s,psi_f,inverter, if the machine has them. Other "
+            "parameters keep their values."
         ),
     ] = None,
     report: Annotated[
         Path | None,
         typer.Option(
-            help="Report to write: .html, or a picture of the residual and of a flux map: .png, "
-            ".pdf, .svg."
+            help="Report to write: .html; or a picture (.png, .pdf, .svg) of the residual and of a "
+            "flux map."
         ),
     ] = None,
     workers: WorkersOption = None,
@@ -65,9 +66,9 @@ def identify(
     and subtracts the inverter's loss (inverter_voltage) from the commanded voltages. The file does
     not contain the lag. If no parameter can be identified, no file is written (exit code 2).
 
-    With many logs, fits each log alone and segments of all of them together, and lists the logs
-    that disagree, with a likely cause: heat, ageing, another motor. Exit code 1: one of many logs
-    identifies no parameter.
+    With many logs, fits each log alone and segments of all logs together. Lists the logs that
+    contradict the common fit and a likely cause: heat, ageing, another motor. Exit code 1: one of
+    many logs identifies no parameter.
 
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
     """
@@ -104,7 +105,7 @@ def identify(
             facts, lines = fit.facts, fit.lines()
         fit.write(out, force=force)
         if report is not None:
-            check_new(report, REPORTS, force, "--report")  # again: it may exist by now
+            check_new(report, REPORTS, force, "--report")  # again: the file may exist by now
             fit.write(report)
     if as_json:
         typer.echo(json.dumps(facts | {"written": str(out)}, indent=1, ensure_ascii=False))
@@ -119,7 +120,7 @@ def identify(
 
 
 def _local_paths(logs: list[str]) -> list[Path]:
-    """Return the files that the names or patterns stand for."""
+    """Return the files that the names or patterns match."""
     if not are_many(logs, None):
         return [Path(logs[0])]
     from ...fleets.sources import sources
@@ -127,5 +128,5 @@ def _local_paths(logs: list[str]) -> list[Path]:
     log_sources = sources(logs)
     for source in log_sources:
         if source.remote:
-            raise UsageError(f"{source}: identify reads local files only; download it first")
+            raise UsageError(f"{source}: identify reads local files only; download the log first")
     return [Path(source.address) for source in log_sources]

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 #: Machine that --demo simulates.
 DEMO_MACHINE = "servo-400w"
-#: Seconds to wait for a browser before reading a stream that can wait and is being recorded.
+#: Longest wait for a browser [s] if the stream is recorded. Without a recording, a patient stream
+#: waits without limit.
 UNWATCHED = 10.0
 
 
@@ -37,8 +38,8 @@ def live(
             metavar="SOURCE",
             help="Serial port (/dev/ttyACM0, COM3), udp:PORT (from this computer; "
             "udp:0.0.0.0:PORT: from others too), socket://HOST:PORT, a growing file, or - for "
-            "standard input. It sends lines of CSV, or frames of the telemetry.c of an exported "
-            "observer.",
+            "standard input. The source sends lines of CSV, or frames from telemetry.c of an "
+            "exported observer.",
         ),
     ] = "",
     machine: Annotated[
@@ -59,7 +60,7 @@ def live(
     ] = False,
     save: Annotated[
         Path | None,
-        typer.Option(help="File to record the rows in, .csv, for `fluxobs estimate`."),
+        typer.Option(help="File in which the rows are recorded for `fluxobs estimate`, .csv."),
     ] = None,
     baud: Annotated[int, typer.Option(help="Bits per second of a serial port.")] = 115200,
     port: Annotated[
@@ -69,19 +70,22 @@ def live(
         bool, typer.Option("--no-open", help="Do not open the browser; only print the address.")
     ] = False,
     memory: Annotated[
-        float | None, typer.Option(help="Seconds; memory of the least squares.")
+        float | None, typer.Option(help="Memory of the least squares in seconds.")
     ] = None,
     unknowns: Annotated[
         str,
-        typer.Option(help="As for `estimate`; auto (default): all that the observer can estimate."),
+        typer.Option(
+            help="Unknowns, as for `estimate`; auto (default): all unknowns that the "
+            "observer can estimate."
+        ),
     ] = "auto",
     prior: PriorOption = None,
     force: ForceOption = False,
 ) -> None:
     """Estimate position, speed, drift and parameters from a stream while it arrives.
 
-    Opens a page in the browser that plots the last seconds; no data leave this computer. With
-    --text, shows the same in the terminal. Ctrl-C ends it.
+    Opens a browser page that plots the last seconds; no data leave this computer. With --text,
+    shows the estimates in the terminal. Ctrl-C ends the command.
 
     Example: fluxobs live /dev/ttyACM0 --machine motor.toml --save run.csv
     """
@@ -94,7 +98,7 @@ def live(
     from ...machines.files import as_machine
 
     if demo == bool(source):
-        raise UsageError("give a SOURCE or --demo: a serial port, udp:PORT, a file, or -")
+        raise UsageError("give --demo or a SOURCE: a serial port, udp:PORT, a file, or -")
     if machine is None and not demo:
         raise UsageError("--machine is missing: a machine file, or a name from `fluxobs machines`")
     if save is not None:
@@ -134,12 +138,12 @@ def live(
 
 
 def _save_unread(save: Path, watch: Watch) -> None:
-    """Save bytes in which no rows were found yet, however the stream ends."""
+    """Save the bytes in which no rows were found when the stream ends."""
     from ...live.recorder import save_raw
 
     if watch.unread:
         raw = save_raw(save, watch.unread)
-        show.say(f"Written: {raw}, unchanged: no rows were found in it")
+        show.say(f"Written: {raw}, unchanged: the data contain no rows")
 
 
 def _report_recording(save: Path, watch: Watch, machine: str) -> None:
@@ -147,15 +151,15 @@ def _report_recording(save: Path, watch: Watch, machine: str) -> None:
     command = ["fluxobs", "estimate", str(save), "--machine", machine]
     if watch.log is not None and watch.log.layout.lag:
         command += ["--lag", f"{watch.log.layout.lag:g}"]
-    if watch.log is not None and watch.status.lost:  # the rate is known from the first rows
+    if watch.log is not None and watch.status.lost:  # lost rows hide the rate
         command += ["--sample-time", f"{watch.log.sample_time:g}"]
     show.say(f"To estimate the whole recording: {shlex.join(command)}")
 
 
 class _CtrlC:
-    """Handler of Ctrl-C: ends the stream once the current rows are estimated and sent.
+    """Handler of Ctrl-C: ends the stream after the current rows are estimated and sent.
 
-    A second Ctrl-C ends it at once.
+    A second Ctrl-C ends the stream at once.
     """
 
     def __init__(self) -> None:
@@ -174,7 +178,7 @@ class _CtrlC:
         self.pressed = True
 
     def chunks(self, stream: Source) -> Iterator[tuple[bytes, bool]]:
-        """Yield data of a stream and whether they are the last; end with empty data."""
+        """Yield (data, last) of a stream; the last data are empty."""
         incoming = stream.chunks()
         try:
             while not self.pressed:
@@ -229,7 +233,7 @@ def _show_in_browser(
         for data, last in ctrl_c.chunks(stream):
             if stream.ignored and not warned:
                 warned = True
-                typer.echo("Ignoring datagrams of other senders than the first.")
+                typer.echo("Only datagrams of the first sender are read.")
             if data:
                 server.send(data)
             if watch is not None:

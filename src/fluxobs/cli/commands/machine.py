@@ -18,7 +18,7 @@ def _group() -> None:
     """Write machine files."""
 
 
-#: Questions asked on a terminal: field and text. Of _MAGNETS, one answer is enough.
+#: Questions asked on a terminal: (field, text). One answer to _MAGNETS is enough.
 _MAGNETS = (("kv", "KV [rpm/V]"), ("K_e", "or K_e [V/krpm]"), ("K_t", "or K_t [Nm/A]"))
 _LINE = (
     ("R_line", "Resistance between two terminals [Ω]"),
@@ -50,7 +50,8 @@ def new(
         str | None,
         typer.Option(
             help="surface-pmsm (also BLDC, hub and drone motors), interior-pmsm, "
-            "synchronous-reluctance or induction. Default: asks, or else surface-pmsm."
+            "synchronous-reluctance or induction. Default: ask on a terminal, else "
+            "surface-pmsm."
         ),
     ] = None,
     poles: _number_option("poles", "Number of poles.") = None,  # type: ignore[valid-type]

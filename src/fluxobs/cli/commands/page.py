@@ -44,4 +44,4 @@ def page(
     if webbrowser.open(path.as_uri()):
         show.say(f"Opened: {path}")
     else:
-        show.say(f"No browser was found. Open this file in one: {path}")
+        show.say(f"No browser was found. Open this file in a browser: {path}")

@@ -11,10 +11,10 @@ from .. import show
 
 def presets(
     name: Annotated[
-        str | None, typer.Argument(help="Print this preset, to start a record file of your own.")
+        str | None, typer.Argument(help="Preset to print, as a template for your own record file.")
     ] = None,
 ) -> None:
-    """List the presets: layouts of known tools' logs, for --preset NAME.
+    """List the presets (layouts of the logs of known tools) for --preset NAME.
 
     Example: fluxobs presets mesc > my-tool.toml
     """

@@ -18,7 +18,9 @@ def reproduce(
     ] = (Path("fluxobs-paper")),
     quick: Annotated[
         bool,
-        typer.Option("--quick", help="Simulate only 30 s of one scenario, in a third of the time."),
+        typer.Option(
+            "--quick", help="Simulate only 30 s of one scenario; this needs a third of the time."
+        ),
     ] = False,
     deep: Annotated[
         bool,
@@ -36,7 +38,7 @@ def reproduce(
 
     Needs the extra "design" (JAX).
     """
-    # Compilation takes most of the time. JAX reads this variable when it is imported.
+    # Compilation takes most of the time. JAX reads this variable on import.
     if not deep:
         os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
     from ...core.output import make_folder

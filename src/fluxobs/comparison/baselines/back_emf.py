@@ -13,12 +13,12 @@ from .base import Baseline, Guess, PllState, angle, leaf, pll, pll_start
 
 
 def _lag(decay: Array, rotation: Array) -> Array:
-    """Return the lag of ``y ← decay y + (1 - decay) x`` for a `rotation` of x per sample [rad]."""
+    """Return the phase lag of ``y ← decay y + (1 - decay) x``; x turns by `rotation` per sample."""
     return jnp.arctan2(decay * jnp.sin(rotation), 1 - decay * jnp.cos(rotation))
 
 
 def _rotor_angle(emf: Array, speed: Array, lag: Array) -> Array:
-    """Return the rotor angle of an EMF ``j ω ψ exp(jθ)`` with a phase lag."""
+    """Return the rotor angle θ from an EMF ``j ω ψ exp(jθ)`` that a filter delays by `lag`."""
     return angle(emf) - jnp.where(speed < 0, -1.0, 1.0) * jnp.pi / 2 + lag
 
 
@@ -84,8 +84,8 @@ class SlidingState(NamedTuple):
 class SlidingMode(Baseline):
     """Sliding mode: a switched voltage forces a current model onto the measured current.
 
-    ``L_q î' = u - R î - z`` with ``z = K sat((î - i)/Φ)`` on each axis. Low-passed, z is the back
-    EMF of the active flux.
+    ``L_q î' = u - R î - z`` with ``z = K sat((î - i)/Φ)`` on each axis. After a low-pass, z is the
+    back EMF of the active flux.
 
     Parameters
     ----------
@@ -98,8 +98,8 @@ class SlidingMode(Baseline):
 
     Notes
     -----
-    The boundary layer Φ = 2 K h/L_q is as thin as sampling allows: inside it each sample halves the
-    current error.
+    The boundary layer Φ = 2 K h/L_q is as thin as sampling allows: inside the layer each sample
+    halves the current error.
 
     References
     ----------

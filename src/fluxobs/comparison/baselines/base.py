@@ -18,8 +18,8 @@ class Guess(NamedTuple):
     """Estimate of one sample, with the names of :class:`fluxobs.Estimate`.
 
     Position [rad], speed [rad/s], flux linkage [Wb], and position of the phase-locked loop [rad].
-    Observers compute the flux as a complex number; `step` returns it as (2,). They do not detect
-    the loss of the position: `valid` is always true.
+    Observers compute the flux as a complex number; `step` returns it as (2,). The observers do not
+    detect the loss of the position: `valid` is always true.
     """
 
     theta_e: Array
@@ -30,7 +30,7 @@ class Guess(NamedTuple):
 
 
 class BaselineState(NamedTuple):
-    """Last current, whether there was one, and the state of the specific observer."""
+    """Last current, whether a last current exists, and the state of the specific observer."""
 
     current: Array
     started: Array
@@ -42,7 +42,7 @@ class Baseline(eqx.Module):
 
     Subclasses implement `start` and `advance`. The voltage is the mean over the interval that ends
     at the sample, so its integral is exact. The resistive drop uses the mean of the two currents.
-    Both are better than the usual forward Euler.
+    Both integrals are more accurate than the usual forward Euler.
 
     Parameters
     ----------
@@ -62,7 +62,10 @@ class Baseline(eqx.Module):
     def advance(
         self, state: Any, voltage: Array, volt_seconds: Array, current: Array, previous: Array
     ) -> tuple[Any, Guess]:
-        """Process one sample; complex vectors, `volt_seconds` ∫(u - R i) dt, `previous` current."""
+        """Process one sample; the vectors are complex.
+
+        `volt_seconds` is ∫(u - R i) dt over the interval, `previous` is the last current.
+        """
         raise NotImplementedError
 
     def init(self) -> BaselineState:
@@ -72,7 +75,10 @@ class Baseline(eqx.Module):
     def step(
         self, state: BaselineState, voltage: Array, current: Array
     ) -> tuple[BaselineState, Guess]:
-        """Process a sample: mean voltage of the interval ending now [V], current now [A], (2,)."""
+        """Process one sample; shape (2,) each.
+
+        `voltage` [V] is the mean over the interval that ends now, `current` [A] is measured now.
+        """
         u, i = vector(voltage), vector(current)
         previous = jnp.where(state.started, state.current, i)
         u = jnp.where(state.started, u, self.motor.R_s * i)
@@ -82,7 +88,7 @@ class Baseline(eqx.Module):
         return BaselineState(i, jnp.ones((), bool), inner), guess
 
     def run(self, voltage: Any, current: Any) -> Guess:
-        """Run a record, (rows, 2) each; voltages are means over the interval ending at the row."""
+        """Run a record, shape (rows, 2); voltages are means over intervals that end at the rows."""
         return run(self, jnp.asarray(voltage, float), jnp.asarray(current, float))
 
     # ---- machine model -------------------------------------------------------------------
@@ -92,13 +98,16 @@ class Baseline(eqx.Module):
         return flux - self.motor.L_q * current
 
     def length(self, current: Array, direction: Array) -> Array:
-        """Return its length ``ψ + (L_d - L_q) i_d``, d along `direction`, at least 0.1 % `size`."""
+        """Return the length of the active flux, ``ψ + (L_d - L_q) i_d``, at least 0.1 % of `size`.
+
+        `direction` is the direction of the d axis.
+        """
         i_d = (current * jnp.conj(direction)).real
         length = self.motor.psi_f + (self.motor.L_d - self.motor.L_q) * i_d
         return jnp.maximum(length, 1e-3 * self.size())
 
     def size(self) -> Array:
-        """Return the typical flux of the machine [Wb]; without magnets that of 1 A in d."""
+        """Return the typical flux of the machine [Wb]; without magnets, the flux of 1 A in d."""
         return self.motor.psi_f + jnp.where(self.motor.psi_f > 0, 0.0, self.motor.L_d)
 
 

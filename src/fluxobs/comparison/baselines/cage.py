@@ -1,8 +1,8 @@
 """Observers of the rotor flux of an induction machine, without a speed sensor.
 
-All use the inverse-Γ model ``L_σ di/dt = u - R_s i - dψ/dt``, ``dψ/dt = R_R i - (α - jω_m) ψ``,
-with α = R_R/L_M. They start with the rotor flux of a machine at rest: a small flux instead of 0,
-which keeps its direction defined.
+All observers use the inverse-Γ model ``L_σ di/dt = u - R_s i - dψ/dt``, ``dψ/dt = R_R i - (α -
+jω_m) ψ``, with α = R_R/L_M. The observers start as for a machine at rest, but with a small rotor
+flux instead of 0, so that the flux has a direction.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class HybridFluxObserver(CageBaseline):
     """Gopinath's observer: current model at low speed, voltage model at high speed.
 
     A PI controller with a double pole at `crossover` corrects the flux of the voltage model towards
-    that of the current model. The current model uses the speed of a phase-locked loop, less the
+    the flux of the current model. The current model uses the speed of a phase-locked loop, less the
     slip.
 
     Parameters
@@ -128,8 +128,9 @@ class FullOrderState(NamedTuple):
 class FullOrderObserver(CageBaseline):
     """Kubota's full-order observer with an adaptive speed.
 
-    A model of stator current and rotor flux. The current error e corrects the current with `gain`,
-    and the speed with ``Im(e* ψ̂)/|ψ̂|²`` through a PI with a double pole at `bandwidth`.
+    The observer is a model of stator current and rotor flux. The current error e corrects the
+    current with `gain`, and the speed with ``Im(e* ψ̂)/|ψ̂|²`` through a PI with a double pole at
+    `bandwidth`.
 
     Parameters
     ----------
@@ -197,8 +198,8 @@ class ReducedOrderObserver(CageBaseline):
     """Hinkkanen, Harnefors and Luomi's reduced-order observer, inherently sensorless.
 
     The voltage model is corrected along ``k = (α/2 + damping |ω_m|)/(α - jω_m)`` by the part of the
-    current model without the speed: ``R_R i_d - α |ψ|``. The speed is the speed of the flux less
-    the slip, low-passed.
+    current model that does not contain the speed: ``R_R i_d - α |ψ|``. The speed is the speed of
+    the flux less the slip, low-passed.
 
     Parameters
     ----------
@@ -259,7 +260,7 @@ class CageKalmanFilter(CageBaseline):
     Parameters
     ----------
     voltage_noise : float
-        Std of the mean voltage over a sample [V]; process noise of both fluxes.
+        Std of the mean voltage over a sample [V], the process noise of both fluxes.
     acceleration : float
         Random walk of the speed [rad/s per √s].
     current_noise, speed_size : float

@@ -1,4 +1,4 @@
-"""Gradient on the length of the active flux, and its limit for infinite gain, the clamp."""
+"""The gradient observer on the length of the active flux, and the clamp for infinite gain."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class GradientState(NamedTuple):
 class LengthGradient(Baseline):
     """Non-linear observer of ODrive and VESC: ``x' = y - L_q di/dt + g/2 (1 - |x|²/ψ²) x``.
 
-    With `adaptation` it also estimates the length, by the gradient of the same error (the
+    With `adaptation` the observer also estimates the length, by the gradient of the same error (the
     magnitude-adapting variant): ``ψ̂' = -g_ψ/2 (1 - |x|²/ψ̂²) ψ̂``.
 
     Parameters
@@ -29,7 +29,7 @@ class LengthGradient(Baseline):
     gain : float
         g [1/s]; decay rate of a length error.
     adaptation : float
-        g_ψ [1/s]; 0 switches it off.
+        g_ψ [1/s]; 0 switches the adaptation off.
     bandwidth : float
         Bandwidth of the phase-locked loop for the speed [rad/s].
 
@@ -93,7 +93,7 @@ class ClampedIntegrator(Baseline):
     Parameters
     ----------
     level : float
-        Clamp over ψ + (L_d - L_q) i_d; nominally 1.
+        Level of the clamp relative to ψ + (L_d - L_q) i_d; nominally 1.
     bandwidth : float
         Bandwidth of the phase-locked loop for the speed [rad/s].
     """

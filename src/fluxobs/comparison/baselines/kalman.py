@@ -21,7 +21,7 @@ class KalmanState(NamedTuple):
 def update_measurement(
     x: Array, P: Array, H: Array, innovation: Array, variance: Array
 ) -> tuple[Array, Array]:
-    """Return state and covariance after two measurements of equal variance; Joseph's form."""
+    """Return (state, covariance) after two measurements of equal variance, in Joseph's form."""
     S = H @ P @ H.T + variance * jnp.eye(2)
     determinant = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
     inverse = jnp.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]]) / determinant
@@ -39,7 +39,7 @@ class KalmanFilter(Baseline):
     Parameters
     ----------
     voltage_noise : float
-        Std of the mean voltage over a sample [V]; process noise of the flux.
+        Std of the mean voltage over a sample [V], the process noise of the flux.
     acceleration : float
         Random walk of the speed [rad/s per √s].
     current_noise : float

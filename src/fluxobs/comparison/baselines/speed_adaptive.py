@@ -72,7 +72,7 @@ class SpeedAdaptiveObserver(Baseline):
         )
         relative_error = e * jnp.conj(auxiliary) / magnitude_squared  # e/ψ_a
         b = m.R_s * (1 / m.L_d + 1 / m.L_q) / 2 + 0.4 * jnp.abs(state.speed)
-        # Correct only the component along ψ_a, by its exact decay.
+        # Correct only the component along ψ_a, with the exact decay.
         decay = -jnp.expm1(-self.gain * b * h)
         flux = flux + decay * relative_error.real * auxiliary * jnp.conj(to_rotor)
         gain_theta, gain_speed = pll_gains(self.bandwidth, h)

@@ -28,7 +28,7 @@ class FilteredVoltageModel(Baseline):
     Parameters
     ----------
     cutoff, least : float
-        ω_c over |ω̂|; smallest ω_c [rad/s].
+        Ratio ω_c/|ω̂|; smallest ω_c [rad/s].
     bandwidth : float
         Bandwidth of the phase-locked loop that estimates ω̂ [rad/s].
 
