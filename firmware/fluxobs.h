@@ -56,7 +56,7 @@ enum {
     NUMBER(kink_now)                         /* held voltage: weight of its last step; or 0 */ \
     NUMBER(kink_before)                      /* held voltage: weight of the step before   */ \
     NUMBER(length_min)                       /* least |flux - L_position i| with a position   */ \
-    POSITIVE(tracker_bandwidth, 1e-37, 1e37) /* bandwidth of angle and speed tracker [rad/s]  */
+    POSITIVE(tracker_bandwidth, 1e-37, 1e37) /* bandwidth of angle and speed tracker [rad/s] */
 
 #define FO_MATRIX_FIELD(name) fo_real name[FO_N][FO_N];
 #define FO_VECTOR_FIELD(name) fo_real name[FO_N];
@@ -101,7 +101,7 @@ typedef struct {
 typedef struct {
     FO_OBSERVER_FIELDS(FO_MATRIX_PARAMETER, FO_ARRAY_PARAMETER, FO_NUMBER_PARAMETER)
 #if FO_MAPPED
-    const fo_map *map;  /* null if the inductances are constant                  */
+    const fo_map *map;  /* null if the inductances are constant */
 #endif
 } fo_observer;
 
@@ -116,7 +116,7 @@ typedef struct {
 
 /* Tracks the angle of the flux. */
 typedef struct {
-    fo_real angle, speed, acceleration;  /* [rad, rad/s, rad/s^2]                      */
+    fo_real angle, speed, acceleration;  /* [rad, rad/s, rad/s^2] */
     fo_real settled;                     /* time with a small angle error [memories]      */
     bool lost;                           /* the next angle determines the speed         */
 } fo_tracker;
@@ -190,7 +190,7 @@ typedef struct {
     VECTOR(drift)           /* R current_bias - B voltage_bias [V]                             */ \
     NUMBER(theta_e_std)     /* std of theta_e [rad]; pi/sqrt(3) if nothing is known            */ \
     NUMBER(innovation)      /* innovation of this sample / assumed noise                       */ \
-    NUMBER(noise_share)     /* share of noise in the flux information; 1: no position          */
+    NUMBER(noise_share)     /* share of noise in the flux information; 1: no position */
 
 typedef struct {
     FO_ESTIMATE_FIELDS(FO_VECTOR_FIELD, FO_NUMBER_FIELD)

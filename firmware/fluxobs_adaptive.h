@@ -87,7 +87,7 @@ typedef enum {
     NUMBER(inverter_current) /* the sign of a phase current i is nearly tanh(i / this) [A]    */ \
     NUMBER(offset_std)       /* std of the offset of a current component [A]                  */ \
     NUMBER(asymmetry_std)    /* std of both components of g in u' = u + g conj(u) [1]         */ \
-    NUMBER(slow_memory)      /* time in which a parameter may change by one std [s]           */
+    NUMBER(slow_memory)      /* time in which a parameter may change by one std [s] */
 
 typedef struct {
     FO_ADAPTIVE_CONFIG_FIELDS(FO_NUMBER_FIELD)

@@ -60,7 +60,7 @@ extern "C" {
     X(ASYMMETRY_STD, 0.01)   /* std of the asymmetry of the phases [1]                        */ \
     X(LAG_STD, 0.15)         /* std of the delay of a voltage [samples]                       */ \
     X(SMOOTHING, 0.05)       /* a current's sign is smoothed below this [rated current]       */ \
-    X(SLOW_MEMORY, 100.0)    /* time in which a parameter may change by one std [s]           */
+    X(SLOW_MEMORY, 100.0)    /* time in which a parameter may change by one std [s] */
 
 /* Sizes of a machine that determine its usual settings. */
 #define FO_SIZES_FIELDS(NUMBER)                                                            \
@@ -72,7 +72,7 @@ extern "C" {
     NUMBER(shortest)      /* shortest usable position vector [flux]                     */ \
     NUMBER(rated_current) /* peak of a phase [A]                                        */ \
     NUMBER(usual_memory)  /* [s]                                                        */ \
-    NUMBER(speed_e)       /* usual electrical speed [rad/s]; 0: unknown                 */
+    NUMBER(speed_e)       /* usual electrical speed [rad/s]; 0: unknown */
 
 typedef struct {
     FO_SIZES_FIELDS(FO_NUMBER_FIELD)
@@ -80,7 +80,7 @@ typedef struct {
 
 /* Is each voltage held over its sample, like the mean voltage of an inverter? */
 typedef enum {
-    FO_VOLTAGE_AUTO,   /* held if R h/L is large              */
+    FO_VOLTAGE_AUTO,   /* held if R h/L is large */
     FO_VOLTAGE_HELD,
     FO_VOLTAGE_SMOOTH
 } fo_voltage;
@@ -104,7 +104,7 @@ typedef struct {
     fo_real R_s, L_d, L_q; /* of a cage, each is the leakage inductance */
     fo_real psi;           /* magnet flux, or a cage's rated flux [Wb]  */
     fo_real R_R, L_M;      /* only of a cage: rotor and magnetizing branch */
-    fo_real rated_current; /* peak [A]; a factor of two does no harm, as with psi      */
+    fo_real rated_current; /* peak [A]; a factor of two does no harm, as with psi */
     fo_real speed_e;       /* usual electrical speed [rad/s], 0: unknown; needed where L/R is
                             * short */
 } fo_machine;

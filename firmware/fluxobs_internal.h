@@ -335,7 +335,7 @@ static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
             t->angle = wrap(predicted + o->track[0] * error);
             t->speed += h * t->acceleration + o->track[1] * error;
             t->acceleration += o->track[2] * error;
-        } else { /* do not lock onto a speed at which the errors of four samples cancel   */
+        } else { /* do not lock onto a speed at which the errors of four samples cancel */
             stop_tracker(t, theta);
             t->lost = true;
             t->settled = ZERO;

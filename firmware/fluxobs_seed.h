@@ -33,7 +33,7 @@ extern "C" {
     NUMBER(speed_e)     /* electrical speed [rad/s]; 0 at rest                                */ \
     NUMBER(psi_f)       /* magnet or active flux; 0: the flux base [Wb]                       */ \
                         /* negative if the position vector points backwards                   */ \
-    NUMBER(psi_f_std)   /* std; 0: a quarter of psi_f [Wb]                                    */
+    NUMBER(psi_f_std)   /* std; 0: a quarter of psi_f [Wb] */
 
 typedef struct {
     FO_SEED_FIELDS(FO_NUMBER_FIELD)
