@@ -1,7 +1,7 @@
-"""A machine of your own in ten lines: a dual three-phase PMSM, defined phase by phase.
+"""Define your own machine in ten lines: a dual three-phase PMSM, phase by phase.
 
 Two three-phase windings, 30 degrees apart, share one magnet rotor. You define only the energies.
-Currents, torque, dynamics and the relation for the flux observers follow from them.
+Currents, torque, dynamics and the relation for the flux observers follow from the energies.
 """
 
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ machine = ElectromechanicalSystem(
 if __name__ == "__main__":
     result = discover_constraint(machine)
     print(f"{machine.name}: {len(result.relations)} quadratic relation between flux and current")
-    print(f"  margin {result.margin:.0e}, residual on other states {result.residual:.0e}")
+    print(f"  margin {result.margin:.0e}, residual at other states {result.residual:.0e}")
     print(f"{len(result.affine)} linear relations, in the planes without magnet flux:")
     for relation in result.affine:
         print(f"  {relation}")
