@@ -150,8 +150,8 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->over_noise = ONE / ((fo_real)(20 * FO_N) * c->current_noise * c->current_noise);
     o->square_min = c->length_min * c->length_min / (psi * psi);
     o->L_position = c->L_position / psi;
-    /* Current noise in x: L adds it directly, and R adds it as a random walk of the flux. The least
-     * squares follows that walk with about a quarter of the memory. */
+    /* Noise of x due to current noise: it acts directly through L, and as a random walk of the flux
+     * through R. The least squares follows that walk with about a quarter of the memory. */
     fo_real walk = ZERO;
     for (int i = 0; i < FO_N; i++) {
         walk += c->R[i][i] / (fo_real)FO_N;
@@ -289,7 +289,7 @@ static inline fo_real zero_if_finite(fo_real x) { return x - x; }
 bool fo_damaged(const fo_observer *o, const fo_state *s)
 {
     bool damaged = s->noise_inflation == ZERO;
-    if (s->round_index == 1U) { /* also after a restart in the last step */
+    if (s->round_index == 1U) { /* this is also true after a restart in the last step */
         const fo_tracker *t = &s->tracker;
         fo_real sum = zero_if_finite(s->power) + zero_if_finite(s->lag_one) +
                       zero_if_finite(s->rotation) + zero_if_finite(t->angle) +
@@ -394,8 +394,9 @@ void fo_linearise_map(const fo_observer *o, fo_real angle, const fo_real current
     fo_direction(angle, direction);
     to_rotor_frame(direction, current, i);
     fo_map_at(map, i, f->rotor_flux * o->flux_base, &answer);
-    /* The relation holds for any share of the auxiliary flux. A share of 1/2 needs no angle if the
-     * machine is linear and has no magnets, a share of 1 if it has no saliency. */
+    /* The relation holds for any share of the auxiliary flux. The share 1/2 needs no angle if the
+     * machine is linear and has no magnets; the share 1 needs no angle if the machine has no
+     * saliency. */
     const fo_real share = map->magnets ? ONE : ONE / TWO;
     const fo_real psi = map->psi * over;
     const fo_real a_d = answer.auxiliary[0] * over, a_q = answer.auxiliary[1] * over;
@@ -503,7 +504,7 @@ static void update_measurement(const fo_observer *o, fo_state *s, fo_real row[FO
 
 /* ---- certainty ------------------------------------------------------------------------ */
 
-/* Position vector x = flux - L i; returns |x|^2. */
+/* Computes the position vector x = flux - L i; returns |x|^2. */
 static fo_real position_vector(const fo_observer *o, const fo_state *s, const fo_real flux[FO_N],
                         fo_real p[FO_N])
 {
@@ -635,7 +636,8 @@ static void solve_state(const fo_observer *o, fo_state *s, fo_real p[FO_N], solu
     r->theta = fo_atan2(p[1], p[0]);
 }
 
-/* Work of this sample in its round: re-injects a row of the prior, or updates the variances. */
+/* Does the work of this sample in its round: re-injects a row of the prior, or updates the
+ * variances. */
 static void take_turn(const fo_observer *o, fo_state *s, const fo_real p[FO_N], fo_real square)
 {
     if ((s->round_index & 1U) == 0U) {
@@ -648,9 +650,9 @@ static void take_turn(const fo_observer *o, fo_state *s, const fo_real p[FO_N], 
     s->round_index = s->round_index + 1U < (uint32_t)REINJECT_PERIOD ? s->round_index + 1U : 0U;
 }
 
-/* Turn of the flux by a voltage error of the drift's prior std. The turn accumulates until the
- * rotor has turned by about a radian. It is bounded, so that a stop does not count for long
- * afterwards. */
+/* Updates the turn of the flux by a voltage error as large as the drift's prior std. The turn
+ * accumulates until the rotor has turned by about a radian. The turn is bounded, so that a stop
+ * does not count for long afterwards. */
 static void update_voltage_turn(const fo_observer *o, fo_state *s)
 {
     const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
@@ -658,8 +660,8 @@ static void update_voltage_turn(const fo_observer *o, fo_state *s)
     s->voltage_turn = s->voltage_turn < VOLTAGE_TURN_MAX ? s->voltage_turn : VOLTAGE_TURN_MAX;
 }
 
-/* Selects the flux to report. It is the flux of the least squares if that is trusted or no better
- * flux is known, else the integral of the last trusted flux. See docs/theory.md, section 6. */
+/* Selects the flux to report: the flux of the least squares if it is trusted or no better flux is
+ * known, else the integral of the last trusted flux. See docs/theory.md, section 6. */
 static void select_flux(const fo_observer *o, fo_state *s, const fo_real v[FO_N], bool known,
                         bool trusted, solution *r)
 {
@@ -709,7 +711,7 @@ static void finish_map(const fo_observer *o, fo_state *s, bool trusted)
 {
     if (has_map(o)) {
         if (trusted && !s->trusted) {
-            discount_information(s, DISTRUST); /* its rows were linearised at wrong angles */
+            discount_information(s, DISTRUST); /* earlier rows were linearised at wrong angles */
         }
         s->previous_point = s->map_point;
         s->outside += trusted && s->map_point.outside ? 1U : 0U;
@@ -805,7 +807,7 @@ static fo_real position_step_length(const fo_observer *o, const fo_state *s, con
     return fo_sqrt(dot(step, step));
 }
 
-/* Is that step longer than motion and noise explain? */
+/* Is the position vector's step longer than motion and noise explain? */
 static bool position_jumps(const fo_observer *o, const fo_state *s, fo_real step)
 {
     return step > TWO * s->step + STEP_LIMIT * s->length +
@@ -855,7 +857,7 @@ static sample_quality classify(const fo_real x[FO_N], fo_real limit)
     return quality;
 }
 
-/* Processes one sample. `source` is in per-unit volt-seconds, which are `complete` or still without
+/* Processes one sample. `source` is in per-unit volt-seconds, either `complete` or still without
  * the resistive drop. */
 static void process_sample(const fo_observer *o, fo_state *s, const fo_real source[FO_N],
                            bool complete, const fo_real current[FO_N], fo_estimate *e) {

@@ -127,7 +127,7 @@ typedef struct {
     fo_real direction[FO_N];     /* assumed direction of the rotor                            */
     fo_real armature_flux[FO_N]; /* position vector = flux - armature_flux                    */
     fo_real centre[FO_N];        /* |flux - centre|^2 - square is constant                    */
-    fo_real square;              /* stored minus the square of the map's magnet flux          */
+    fo_real square;              /* constant square minus the map's squared magnet flux       */
     fo_real active_flux;         /* length of the position vector; for a cage, its growth     */
     fo_real by_flux[FO_N];       /* gradient of (length - active_flux) over the flux          */
     fo_real by_current[FO_N];    /* negative gradient of (length - active_flux) over current  */
@@ -141,7 +141,7 @@ typedef struct {
 typedef struct {
     bool have_current, have_voltage;     /* received at least once since the last restart        */
     bool trusted;                        /* the least squares determines the flux                */
-    bool have_trusted_flux;              /* a trusted flux exists, which is integrated           */
+    bool have_trusted_flux;              /* a trusted flux exists, and is integrated             */
     uint32_t round_index;                /* position in the round of prior re-injections         */
     uint32_t consecutive_bad;
     uint32_t bad_voltages, bad_currents, absurd, outliers, restarts; /* counted since fo_reset   */
@@ -162,7 +162,7 @@ typedef struct {
     fo_real noise_share;                 /* share of noise in the flux information               */
     fo_real inflation, angle_variance;   /* inflation of the covariance; angle variance [rad^2]  */
     fo_real drift_prior;                 /* prior information on the drift; reduced if too large */
-    fo_real theta, rotation;             /* least-squares angle; rotation since it is known [rad] */
+    fo_real theta, rotation;             /* least-squares angle; rotation with known angle [rad] */
     fo_real flux[FO_N], drift[FO_N];     /* last trusted values; the flux is then integrated     */
     fo_real variance, variance_growth;   /* of the integrated angle: variance when the integration
                                           * began [rad^2], growth per memory^2 */
@@ -241,7 +241,7 @@ void fo_step_volt_seconds(const fo_observer *observer, fo_state *state,
  * After each step, set the volt-seconds to zero. */
 typedef struct {
     fo_real volt_seconds[FO_N]; /* [Wb], for fo_step_volt_seconds */
-    fo_real current[FO_N];      /* at the previous interrupt [A]  */
+    fo_real current[FO_N];      /* current at the previous interrupt [A] */
 } fo_gathered;
 
 /* Adds the interval that ends now: `voltage` is its mean [V], `current` is measured now [A]. The

@@ -15,8 +15,8 @@ static const fo_real SOFT = (fo_real)1.2;
 /* Scale I of the curve, a considered parameter: i (1 - |i| / I). I is this multiple of the given
  * current, by default rated current [1]. */
 static const fo_real RATED = (fo_real)20;
-/* Std of the curve relative to the loss [1]: its values are at most a quarter of it, 4 % of the
- * loss. */
+/* Std of the curve relative to the loss [1]. The curve is at most a quarter of it, which is 4 % of
+ * the loss. */
 static const fo_real CURVE_STD = (fo_real)0.15;
 /* Voltage error outside the model, relative to the drift's prior std [1]. This error limits how
  * long the filter trusts the voltage. */
@@ -165,9 +165,9 @@ static fo_real soft_sign(fo_real x)
     return sign;
 }
 
-/* Amplitude-invariant vector of the soft signs of the phase currents. Adds its derivative by the
- * current (alpha alpha, alpha beta, beta beta) times `volts` to `gradient`. Returns the softness of
- * the signs, 0 to 1. */
+/* Computes the amplitude-invariant vector of the soft signs of the phase currents. Adds the
+ * vector's derivative by the current (alpha alpha, alpha beta, beta beta) times `volts` to
+ * `gradient`. Returns the softness of the signs, 0 to 1. */
 static fo_real soft_signs(const fo_real current[FO_N], fo_real over, fo_real volts,
                       fo_real signs[FO_N], fo_real gradient[3])
 {
@@ -193,9 +193,9 @@ static fo_real inverter_loss_part(const fo_adaptive *a, const fo_adaptive_state 
     return a->inverter_mean + fo_learning_value(a, s, FO_INVERTER + n);
 }
 
-/* Voltage lost in the interval that ends with this current, beyond the assumed resistance. It is
- * computed from the estimates of resistance error and inverter loss, without the asymmetry. Stores
- * the signs. */
+/* Voltage lost in the interval that ends with this current, in addition to the assumed resistance's
+ * drop. The estimates of resistance error and inverter loss determine it; the asymmetry is not
+ * included. Stores the signs. */
 static void predicted_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_real current[FO_N],
                        fo_real loss[FO_N])
 {
@@ -315,9 +315,9 @@ static void write_parameters(const fo_adaptive *a, const fo_adaptive_state *s,
     e->inverter_std = s->reported_std[2];
 }
 
-/* Writes the filter's estimate. Its position vector has this length, and its angle this variance.
- * `fixed` is the variance due to errors that measurements do not reduce: of L_q, of the lag, of a
- * cage's ripple. */
+/* Writes the filter's estimate, with this length of the position vector and this variance of the
+ * angle. `fixed` is the variance due to errors that measurements do not reduce: of L_q, of the lag,
+ * of a cage's ripple. */
 static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length,
                    fo_real variance, fo_real fixed, fo_adaptive_estimate *e)
 {
@@ -361,8 +361,8 @@ static bool is_finite_estimate(const fo_adaptive_estimate *e)
     return sum - sum == ZERO;
 }
 
-/* Writes the plain observer's position. Its std does not include the parameters, so their part is
- * added. */
+/* Writes the plain observer's position. The plain observer's std does not include the parameters,
+ * so their part is added. */
 static void use_plain_estimate(const fo_adaptive_state *s, const fo_estimate *plain,
                         fo_adaptive_estimate *e)
 {
@@ -405,8 +405,8 @@ static bool is_wrong(const fo_adaptive_state *s)
            fo_abs(s->p[FO_INDUCTANCE + 1]) > PARAMETER_STDS_MAX;
 }
 
-/* Processes a sample while the filter runs. `e` holds the estimate of its guard, the plain
- * observer. */
+/* Processes a sample while the filter runs. `e` holds the estimate of the plain observer, the
+ * filter's guard. */
 static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
                        bool measured, fo_adaptive_estimate *e)
 {
@@ -447,7 +447,7 @@ static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_inte
 
 /* ---- the start ------------------------------------------------------------------------ */
 
-/* Writes the best candidate's position. Its variance includes the weight of the second best
+/* Writes the best candidate's position. The variance includes the weight of the second best
  * candidate. */
 static void write_candidate(const fo_adaptive *a, const fo_adaptive_state *s,
                             const fo_choice *choice, fo_estimate *q)
@@ -575,9 +575,9 @@ static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool compl
     e->position.valid = e->position.valid && measured && now.voltages == before.voltages;
 }
 
-/* Chooses the angle at which the plain observer linearises the map. It is the filter's angle if the
- * filter runs and the plain observer has no position. Otherwise it is its own angle, since a guard
- * must not depend on the filter that it guards. */
+/* Chooses the angle at which the plain observer linearises the map. The filter's angle is used if
+ * the filter runs and the plain observer has no position. Otherwise the plain observer uses its own
+ * angle, since a guard must not depend on the filter that it guards. */
 static void set_map_angle(const fo_adaptive *a, fo_adaptive_state *s)
 {
 #if FO_MAPPED

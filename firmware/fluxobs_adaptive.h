@@ -63,7 +63,7 @@ enum {
     FO_NF = 2 * FO_N,      /* order of the fast filter: flux, drift                */
     FO_NA = FO_NF + FO_NP, /* order of the factor: fast filter, then parameters    */
     FO_NM = 2 * FO_N + 1,  /* manifold: flux, drift, square of the magnet flux     */
-    FO_CANDIDATES = 4      /* positions followed at the start                      */
+    FO_CANDIDATES = 4      /* positions at the start of the fit                    */
 };
 
 /* Choice of the time when the information is projected on the manifold. */
@@ -72,8 +72,8 @@ typedef enum {
     FO_PROJECT_START  /* projection until the position is known            */
 } fo_projection;
 
-/* Assumed values of machine and inverter, with standard deviations (0 if the value is known); then
- * the time of the projection. */
+/* Assumed values of machine and inverter with their standard deviations (0 if a value is known),
+ * and the time of the projection. */
 #define FO_ADAPTIVE_CONFIG_FIELDS(NUMBER)                                                        \
     NUMBER(saliency)         /* L_d - L_position [H]                                          */ \
     NUMBER(L_d_std)          /* std of the inductance along d, as a share of it [1]           */ \
@@ -151,8 +151,8 @@ typedef struct {
     union {                              /* `start` before the filter runs, then `block`    */
         struct {
             fo_candidate candidates[FO_CANDIDATES];
-            uint32_t confirmations;      /* candidates that converged to the best one       */
-            int32_t best;                /* index of the best one                           */
+            uint32_t confirmations;      /* candidates that converged to the best candidate */
+            int32_t best;                /* index of the best candidate                     */
         } start;
         fo_block block;
     } now;
@@ -188,14 +188,14 @@ typedef struct {
     fo_real x[FO_N], theta;              /* direction of the position vector                */
     fo_real rotation;                    /* rotation since one candidate is likely, before the
                                           * filter runs [rad] */
-    fo_real disagreement;                /* turn while filter and guard differ [rad]        */
+    fo_real disagreement;                /* turn during which filter and guard differ [rad] */
     fo_tracker tracker;
 } fo_adaptive_state;
 
 typedef struct {
-    fo_estimate position;     /* as estimated by the plain observer                           */
+    fo_estimate position;     /* estimates that the plain observer also has                   */
     fo_real drift_std;        /* std of a drift component [V]                                 */
-    fo_real psi_f, psi_f_std; /* magnet flux; active flux until it is known [Wb]              */
+    fo_real psi_f, psi_f_std; /* magnet flux; active flux until the former is known [Wb]      */
     fo_real resistance_error; /* true minus assumed [Ohm]                                     */
     fo_real resistance_std;
     fo_real inverter_voltage; /* [V]                                                          */
@@ -213,9 +213,9 @@ typedef struct {
     NUMBER(resistance_std)                                     \
     NUMBER(inverter_voltage) /* [V]                         */ \
     NUMBER(inverter_std)                                       \
-    VECTOR(offset)           /* of the measured current [A] */ \
+    VECTOR(offset)           /* offset of the measured current [A] */ \
     VECTOR(offset_std)                                         \
-    VECTOR(asymmetry)        /* g in u' = u + g conj(u) [1] */ \
+    VECTOR(asymmetry)        /* component of g in u' = u + g conj(u) [1] */ \
     VECTOR(asymmetry_std)                                      \
     VECTOR(inductance_error) /* errors of L_d and L_q, as shares [1] */ \
     VECTOR(inductance_std)

@@ -1,6 +1,6 @@
 /* The algebra of a sample, without branches: transition, rotations, solution and variances of the
- * information factor. fluxobs.c includes it for one record. The library's binding includes it for
- * several records at once, with vectors in place of numbers (binding/lanes.cpp). Not for users.
+ * information factor. The source fluxobs.c uses it for one record. The library's binding uses it
+ * for several records at once, with vectors in place of numbers (binding/lanes.cpp). Not for users.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -9,8 +9,8 @@
 
 #include "fluxobs_internal.h"
 
-/* FO_VALUE is a number or a vector of numbers. Also: its zero, and a struct with U, d, z and noise
- * of this type. */
+/* FO_VALUE is a number or a vector of numbers. The other macros are its zero, and a struct with U,
+ * d, z and noise of this type. */
 #ifndef FO_VALUE
 #define FO_VALUE fo_real
 #define FO_ZERO ZERO
@@ -80,8 +80,8 @@ static inline void predict(const fo_observer *o, FO_FACTOR *info, const interval
     for (int i = 0; i < FO_NX; i++) {
         info->d[i] *= rho;
     }
-    /* The information from noise alone is propagated and forgotten in the same way. It is equal for
-     * both components of (flux, drift). */
+    /* The information from noise alone is propagated and forgotten in the same way. This
+     * information is equal for both components of (flux, drift). */
     FO_VALUE *noise = info->noise;
     noise[2] = rho * (noise[2] - h * (TWO * noise[1] - h * noise[0]));
     noise[1] = rho * (noise[1] - h * noise[0]);
@@ -166,8 +166,8 @@ static inline void solve(const FO_FACTOR *info, FO_VALUE x[FO_NX])
     }
 }
 
-/* Third difference of four currents, newest first. It removes their smooth part and has 20 times
- * the noise variance. */
+/* Third difference of four currents, newest first. It removes the smooth part of the currents and
+ * has 20 times the noise variance. */
 static inline FO_VALUE third_difference(FO_VALUE i0, FO_VALUE i1, FO_VALUE i2, FO_VALUE i3)
 {
     return i0 - i3 + (fo_real)3 * (i2 - i1);

@@ -169,8 +169,8 @@ void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_c
         predicted += weight * value * value;
     }
     /* Current noise in the rows adds noise psi^2 to the cost, which pulls psi to zero: subtract
-     * this term. It is linear in the last unknown, and so changes nothing else in the factor. If
-     * the data contain no information on that unknown, nothing changes. */
+     * this term. The term is linear in the last unknown, and so changes nothing else in the factor.
+     * If the data contain no information on that unknown, nothing changes. */
     const fo_real noise = info->noise[0], information = m->d[M_SQUARE];
     const fo_real shift = information > ZERO ? noise / (TWO * information) : ZERO;
     predicted -= information * shift * shift;

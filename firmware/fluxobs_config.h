@@ -38,23 +38,23 @@ extern "C" {
     X(MODEL_ERROR, 0.003)    /* smallest error of any machine's relation [flux squared]       */ \
     X(CURRENT_NOISE, 0.002)  /* noise of a current component [rated current]                  */ \
     X(CURRENT_LIMIT, 20.0)   /* limit of a plausible current [rated current]                  */ \
-    X(CURRENT_FLUX, 5.0)     /* an implausible current's flux L i also exceeds this [flux]    */ \
+    X(CURRENT_FLUX, 5.0)     /* the same limit, if larger: flux L i of the current [flux]     */ \
     X(DRIFT_DROP, 0.03)      /* largest plausible drift [rated resistive drop]                */ \
-    X(DRIFT_TURN, 0.1)       /* a plausible drift may turn the flux by this in a memory [rad] */ \
+    X(DRIFT_TURN, 0.1)       /* the same limit, if larger: turn of the flux in a memory [rad] */ \
     X(MATTERS, 0.15)         /* from this R h/L on, a voltage counts as held                  */ \
     X(WALK, 3.5)             /* longest quiet memory / ((L/R)^2 / h)                          */ \
                              /* (noise of the resistive drop stays below that of L i)         */ \
     X(SLOW, 4.0)             /* the memory holds a turn at the usual speed divided by this    */ \
     X(MAGNETIZING, 0.45)     /* a cage's rated flux / (L_M times rated current)               */ \
     X(RELUCTANCE, 0.5)       /* i_d of a reluctance machine at rated current [rated]          */ \
-    X(SHORTEST, 0.25)        /* shortest usable position vector [flux], ...                   */ \
-    X(SHORTEST_SALIENT, 0.05) /* shortest of a reluctance machine: it follows i_d             */ \
+    X(SHORTEST, 0.25)        /* shortest usable position vector [flux]                        */ \
+    X(SHORTEST_SALIENT, 0.05) /* the same limit for a reluctance machine [flux]               */ \
     X(STILL, 0.15)           /* change of i_d up to which a cage's flux is constant [flux/L_M] */ \
     X(CAGE_OFFSET, 0.01)     /* std of a cage's current offsets, which turn its flux [rated]  */ \
     X(OFFSET_SHARE, 0.02)    /* std of a current offset [rated current]                       */ \
-    X(RESISTANCE_SHARE, 0.5) /* std of the resistance [of it]                                 */ \
-    X(PSI_SHARE, 0.25)       /* std of the magnet flux [of it]                                */ \
-    X(INDUCTANCE_SHARE, 0.1) /* std of an inductance [of it]                                  */ \
+    X(RESISTANCE_SHARE, 0.5) /* std of the resistance [resistance]                            */ \
+    X(PSI_SHARE, 0.25)       /* std of the magnet flux [magnet flux]                          */ \
+    X(INDUCTANCE_SHARE, 0.1) /* std of an inductance [inductance]                             */ \
     X(INVERTER_SHARE, 0.25)  /* std of the inverter's loss [rated resistive drop]             */ \
     X(DC_LINK_SHARE, 0.02)   /* least std of the inverter's loss [DC link]                    */ \
     X(ASYMMETRY_STD, 0.01)   /* std of the asymmetry of the phases [1]                        */ \
@@ -104,7 +104,7 @@ typedef struct {
     fo_real R_s, L_d, L_q; /* of a cage, each is the leakage inductance */
     fo_real psi;           /* magnet flux, or a cage's rated flux [Wb]  */
     fo_real R_R, L_M;      /* only of a cage: rotor and magnetizing branch */
-    fo_real rated_current; /* peak [A]; a factor of two does no harm, as with psi */
+    fo_real rated_current; /* peak current [A]; a factor of two does no harm */
     fo_real speed_e;       /* usual electrical speed [rad/s], 0: unknown; needed where L/R is
                             * short */
 } fo_machine;
@@ -117,10 +117,10 @@ fo_machine fo_synrm(fo_real R_s, fo_real L_d, fo_real L_q, fo_real rated_current
 fo_machine fo_induction(fo_real R_s, fo_real R_R, fo_real L_sigma, fo_real L_M, fo_real psi_R,
                         fo_real rated_current);
 
-/* Makes the whole configuration of a machine, for fo_init. Returns NULL, or the name of a field of
- * fo_machine that is implausible or most likely has a wrong unit. The name may also be
- * "sample_time", or "psi or rated_current" where either may be wrong. The configuration is then
- * zero, and fo_init refuses it. */
+/* Makes the whole configuration of a machine, for fo_init. Returns NULL on success. Otherwise
+ * returns the name of a field of fo_machine that is implausible or most likely has a wrong unit;
+ * the configuration is then zero, and fo_init refuses it. The name may also be "sample_time", or
+ * "psi or rated_current" where either may be wrong. */
 const char *fo_configure(fo_config *config, const fo_machine *machine, fo_real sample_time);
 
 #if FO_MAPPED

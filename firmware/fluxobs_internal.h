@@ -35,9 +35,9 @@
 enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 
 /* ---- thresholds ------------------------------------------------------------------------
- * Thresholds of the plain observer. Each has its unit, its reason, and the test that fails at half
- * or at twice its value ("not sharp": no test fails). The list at the end names them for the
- * binding. Tests without a folder are in tests/observers/test_accuracy.py. */
+ * Thresholds of the plain observer. Each threshold has its unit, its reason, and the test that
+ * fails at half or at twice its value ("not sharp": no test fails). The list at the end names the
+ * thresholds for the binding. Tests without a folder are in tests/observers/test_accuracy.py. */
 
 /* Share of noise in the flux information above which the flux is called unknown [1]. Noise in the
  * rows shortens an estimate by this share. A tenth, in one direction only, turns the flux by up to
@@ -67,11 +67,11 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
  * test_spikes_of_any_size_and_direction_do_not_mislead). */
 #define STEP_LIMIT ((fo_real)0.15)
 #define STEP_NOISE ((fo_real)6)
-/* If the drift exceeds its prior's std after this rotation, the prior was too tight [rad]. One and
- * a half turns show any flux circle as a whole (not sharp). */
+/* If the drift exceeds its prior's std after this rotation, the prior was too tight [rad]. A
+ * rotation of one and a half turns shows any flux circle as a whole (not sharp). */
 #define SETTLED ((fo_real)3 * PI)
-/* The prior's variance then becomes this many times the square of that drift [1]. Its std is twice
- * the drift, so that the drift is ordinary from then on (not sharp). */
+/* The prior's variance then becomes this many times the square of that drift [1]. The new std is
+ * twice the drift, so that the drift is ordinary from then on (not sharp). */
 #define WIDEN ((fo_real)4)
 /* The past information is then multiplied by this factor divided by the squared ratio of the drift
  * to its std [1]. The factor is large enough to keep the matrix regular, and too small to matter
@@ -126,8 +126,8 @@ static inline fo_real correlation(fo_real lag_one, fo_real power)
     return !(r > ZERO) ? ZERO : r > CORRELATION_LIMIT ? CORRELATION_LIMIT : r;
 }
 
-/* (atan(q) / q - 1) / q^2 by powers of q^2, |q| <= 0.199. Chebyshev; the relative error of atan(q)
- * is below 8.1e-9, and below 3.4e-19 in double. */
+/* Coefficients of (atan(q) / q - 1) / q^2 by powers of q^2, |q| <= 0.199. Chebyshev: the relative
+ * error of atan(q) is below 8.1e-9 in single precision, 3.4e-19 in double. */
 #if FO_SINGLE
 #define FO_ATAN_SERIES                                                                       \
     {(fo_real)-0.136489613386948304, (fo_real)0.199906407297515527,                          \
@@ -293,8 +293,8 @@ static inline fo_real mean_current_24(fo_real i0, fo_real i1, fo_real i2, fo_rea
 /* Is this a state of zeros, on which fo_reset was never called? */
 static inline bool is_never_reset(const fo_state *s) { return s->noise_inflation == ZERO; }
 
-/* Is this no valid state of the observer, but zeros or overwritten memory? Checked once in a
- * round. */
+/* Is this an invalid state of the observer, that is, zeros or overwritten memory? Each state is
+ * checked once in a round. */
 #define fo_damaged FO_NAME(fo_damaged)
 bool fo_damaged(const fo_observer *o, const fo_state *s);
 

@@ -33,7 +33,8 @@ extern "C" {
 #define fo_adaptive_restore FO_NAME(fo_adaptive_restore)
 #endif
 
-/* Version of the blobs. It changes when a field is added to an observer or to its state. */
+/* Version of the blobs. The version changes when a field is added to an observer or to its
+ * state. */
 #define FO_LAYOUT 1U
 
 /* Bytes of a blob with this many numbers: head, numbers, checksum. */
@@ -78,9 +79,9 @@ void fo_adaptive_save(const fo_adaptive *observer, const fo_adaptive_state *stat
                       uint8_t blob[FO_SAVED_BYTES]);
 
 /* Resets the state, and restores what an observer with the same bases and standard deviations has
- * saved. The prior means may differ. `changed` is the std of the change of the resistance since
- * then, as a share of it: copper changes by 0.4 % a kelvin; use 0.2 for a motor that was warm. On
- * FO_ERROR_DAMAGED and FO_ERROR_OTHER the state is reset, with the parameters at their prior. */
+ * saved. The prior means may differ. `changed` is the std of the resistance's change since then, as
+ * a share of the resistance. Copper changes by 0.4 % a kelvin; use 0.2 for a motor that was warm.
+ * On FO_ERROR_DAMAGED and FO_ERROR_OTHER the state is reset, with the parameters at their prior. */
 fo_error fo_adaptive_restore(const fo_adaptive *observer, fo_adaptive_state *state,
                              const uint8_t *blob, uint32_t length, fo_real changed);
 #endif

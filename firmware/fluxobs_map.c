@@ -126,7 +126,7 @@ bool fo_map_good(const fo_map *map)
         good = good && map->decay > ZERO && map->decay < ONE && map->still > ZERO &&
                map->ripple > ZERO;
     } else {
-        /* any numbers will do here */
+        /* a linear map may have any finite numbers */
     }
     return good;
 }

@@ -59,10 +59,10 @@ typedef struct {
     bool outside;          /* extrapolated linearly from the border  */
 } fo_mapped;
 
-/* Evaluates the map at a current in rotor coordinates [A]. A cage has this rotor flux [Wb]. */
+/* Evaluates the map at a current in rotor coordinates [A]. `rotor_flux` is that of a cage [Wb]. */
 void fo_map_at(const fo_map *map, const fo_real current[2], fo_real rotor_flux, fo_mapped *at);
 
-/* Is the map well formed, that is, finite, and its table consistent? */
+/* Is the map well formed: are all numbers finite, and is the table consistent? */
 bool fo_map_good(const fo_map *map);
 
 /* Cosine and sine of an angle in (-pi, pi], to within 2e-9. */

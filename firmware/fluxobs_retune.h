@@ -1,8 +1,8 @@
-/* fluxobs, changes while the drive runs: of resistance, inverter voltage, magnet flux and limits.
- * Also an estimate that slower tasks read.
+/* fluxobs, changes while the drive runs: resistance, inverter voltage, magnet flux and limits may
+ * change. Also an estimate that slower tasks read.
  *
- * A task prepares the changed observer beside the observer in use. The interrupt takes it between
- * two steps. The state is kept.
+ * A task prepares the changed observer beside the observer in use. Between two steps, the interrupt
+ * takes the changed observer. The state is kept.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -40,7 +40,7 @@ extern "C" {
 #define fo_adaptive_take FO_NAME(fo_adaptive_take)
 #endif
 
-/* Keeps the order of the memory accesses before and after it, also for other cores. */
+/* Keeps the order of memory accesses before and after this barrier, also for other cores. */
 #ifndef FO_BARRIER
 #if defined(__GNUC__)
 #define FO_BARRIER() __atomic_thread_fence(__ATOMIC_SEQ_CST)
@@ -88,7 +88,7 @@ const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *retunable, fo_adaptiv
 
 /* ---- an estimate for slower tasks -------------------------------------------------------- */
 
-/* An estimate that the interrupt writes and tasks read. Set it to zero before use. */
+/* An estimate that the interrupt writes and tasks read. Set this struct to zero before use. */
 typedef struct {
     fo_estimate estimate;
     volatile uint32_t begun, ended; /* how often it has been written */
@@ -98,7 +98,7 @@ typedef struct {
 void fo_publish(fo_snapshot *snapshot, const fo_estimate *estimate);
 
 /* For a task: copies the whole last estimate. Returns false if no estimate exists yet, or if
- * interrupts came between the reads four times. */
+ * interrupts disturbed four reads. */
 bool fo_read(const fo_snapshot *snapshot, fo_estimate *estimate);
 
 #ifdef __cplusplus

@@ -41,7 +41,7 @@ static void per_unit(const fo_observer *o, const fo_seed *seed, seed_point *poin
     point->length = fo_abs(length) > ZERO ? length : ONE;
     const fo_real share = seed->psi_f_std / o->flux_base;
     point->length_std = share > ZERO ? share : LENGTH_SHARE * fo_abs(point->length);
-    /* cosine and sine of the angle, from those of half the angle, which is within a quarter turn */
+    /* cosine and sine of the angle by the half angle, which is within a quarter turn */
     const fo_real axis[FO_N] = {ONE, ZERO};
     fo_real quarter[FO_N], half[FO_N];
     turn(axis, point->theta / (fo_real)4, quarter);

@@ -29,11 +29,11 @@ extern "C" {
 /* Angle, speed and flux at the present current sample, with standard deviations. */
 #define FO_SEED_FIELDS(NUMBER)                                                                    \
     NUMBER(theta_e)     /* in (-pi, pi] [rad]                                                 */ \
-    NUMBER(theta_e_std) /* std; 0.3 for Hall sensors: sector / sqrt(12) [rad]                 */ \
+    NUMBER(theta_e_std) /* std of theta_e, 0.3 for Hall sensors (sector / sqrt(12)) [rad]     */ \
     NUMBER(speed_e)     /* electrical speed [rad/s]; 0 at rest                                */ \
     NUMBER(psi_f)       /* magnet or active flux; 0: the flux base [Wb]                       */ \
                         /* negative if the position vector points backwards                   */ \
-    NUMBER(psi_f_std)   /* std; 0: a quarter of psi_f [Wb] */
+    NUMBER(psi_f_std)   /* std of psi_f; 0: a quarter of psi_f [Wb]                           */
 
 typedef struct {
     FO_SEED_FIELDS(FO_NUMBER_FIELD)

@@ -19,8 +19,8 @@
 #define fo_marginal_variance FO_NAME(fo_marginal_variance)
 
 /* Adds row'x = value with this information to the rows first .. last - 1 of a factor of order n, by
- * Gentleman's rotations. On return the row, its value and its information contain the rest: what is
- * not in those rows of the factor. For last < n, the rest is a row on the unknowns from `last` on.
+ * Gentleman's rotations. On return the row, its value and its information are the remainder that
+ * those rows do not contain. For last < n, the remainder is a row on the unknowns from `last` on.
  * Weights must be positive where the row is not zero. */
 void fo_add_row_to(int n, fo_real U[], fo_real d[], fo_real z[], int first, int last, fo_real row[],
                fo_real *value, fo_real *information);
