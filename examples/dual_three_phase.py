@@ -9,8 +9,8 @@ import numpy as np
 
 from fluxobs.research import ElectromechanicalSystem, discover_constraint, inertia, linear_magnetics
 
-axes = np.radians([0, 120, 240, 30, 150, 270])  # magnetic axes of the six phases
-inductance = 0.2e-3 * np.eye(6) + 1e-3 * np.cos(axes[:, None] - axes)  # leakage + air gap [H]
+axes = np.radians([0, 120, 240, 30, 150, 270])  # Magnetic axes of the six phases.
+inductance = 0.2e-3 * np.eye(6) + 1e-3 * np.cos(axes[:, None] - axes)  # Leakage + air gap [H].
 machine = ElectromechanicalSystem(
     linear_magnetics(lambda q: jnp.asarray(inductance), lambda q: 0.05 * jnp.cos(3 * q[0] - axes)),
     inertia(2e-3),

@@ -52,7 +52,7 @@ def machine_of(par: SynchronousMachinePars, rated_current: float) -> RotatingMac
 
 
 class FluxobsObserver(SpeedFluxObserver):  # type: ignore[misc]  # motulator is not typed
-    """motulator's observer, with angle, speed and flux of a fluxobs observer while that is valid.
+    """motulator's observer, which uses angle, speed and flux of a fluxobs observer if valid.
 
     If the fluxobs observer is not valid, as at standstill, motulator's observer continues from the
     last valid values.

@@ -18,7 +18,7 @@ static const double tens[MOST_POWER + 1] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  
 
 static int is_digit(uint8_t c) { return c >= '0' && c <= '9'; }
 
-/* Parses the number in begin .. end - 1; returns 0 if it is not simple. */
+/* Parses the number in begin .. end - 1. Returns 0 if the number is not simple. */
 static int simple(const uint8_t *begin, const uint8_t *end, uint8_t mark, double *value)
 {
     double mantissa = 0.0;

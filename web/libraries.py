@@ -1,6 +1,6 @@
 """Third-party software in the page, for its notices and a wheel's bill of materials.
 
-The bill of materials is packaging/sbom.py.
+packaging/sbom.py makes the bill of materials.
 """
 
 from __future__ import annotations

@@ -109,9 +109,9 @@ class Module:
 
     def __init__(self, name: str, source: Path, path: Path, modules: set[str]) -> None:
         self.name, self.source, self.path, self.modules = name, source, path, modules
-        self.live: set[str] | None = None  # words in use; None means all words
+        self.live: set[str] | None = None  # Words in use; None means all words.
         self.by_name: set[str] | None = (
-            None  # functions called with keyword arguments; None means all
+            None  # Functions called with keyword arguments; None means all.
         )
         self.package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         self.tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -1,5 +1,5 @@
-/* Compares fo_atan2 with the C library's atan2 in extended precision. Prints a hash of its bits,
- * which must be the same with every compiler. */
+/* Compares fo_atan2 with the C library's atan2 in extended precision. Prints a hash of the bits of
+ * fo_atan2, which must be the same with every compiler. */
 #include <stdio.h>
 #include <string.h>
 

@@ -1,6 +1,6 @@
-/* Overwrites memory of the observer while it runs. Then no valid row may lack a finite standard
- * deviation, and the observer must find the rotor again. Kinds of damage: a number with the
- * wrong sign, NaN, infinite, zero; random bytes in the whole state. Prints the worst result of
+/* Overwrites memory of the observer while it runs. Afterwards every valid row must have a finite
+ * standard deviation, and the observer must find the rotor again. Kinds of damage: a number with
+ * the wrong sign, NaN, infinite, zero; random bytes in the whole state. Prints the worst result of
  * each kind. */
 #include <math.h>
 #include <stddef.h>
@@ -35,7 +35,7 @@ static void sample(int k, double L, double R, fo_real voltage[2], fo_real curren
 }
 
 typedef struct {
-    int valid, not_finite, wrong, late; /* rows; samples until rows are valid for good */
+    int valid, not_finite, wrong, late; /* numbers of rows; samples until all rows are valid */
     unsigned restarts;
 } outcome;
 

@@ -1,6 +1,6 @@
 /* A drive around the exported example interrupt. Standard input: rows of floats (i_a, i_b, i_c,
- * alpha and beta voltage commanded in this interrupt, are the gates on?). Standard output: one
- * float a row, the angle that the control received, or 100 if it is unknown. */
+ * alpha and beta voltage commanded in this interrupt, whether the gates are on). Standard output:
+ * one float per row, the angle that the control received, or 100 if the angle is unknown. */
 #include <stdio.h>
 
 #include "motor_observer.h"

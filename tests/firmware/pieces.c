@@ -93,8 +93,8 @@ static void random_triangle(int n, fo_real U[], fo_real d[], fo_real z[])
 }
 
 /* A row that is added to the factor adds its outer product to the information, and its value to the
- * right-hand side. The remaining row after the first rows is the row for the other unknowns, once
- * the first unknowns are eliminated. */
+ * right-hand side. The row that remains after the first rows is the row for the other unknowns
+ * after elimination of the first unknowns. */
 static void check_rotation(void)
 {
     enum { N = 7, M = 3 };
@@ -227,7 +227,7 @@ static void simple(fo_adaptive *a)
     }
 }
 
-/* The derivatives of a sample's residual must equal its differences. */
+/* The derivatives of a sample's residual must equal difference quotients. */
 static void check_derivatives(void)
 {
     static fo_adaptive a;
@@ -264,7 +264,7 @@ static void check_derivatives(void)
     }
 }
 
-/* The sensitivities of an interval's volt-seconds must equal their differences by each
+/* The sensitivities of an interval's volt-seconds must equal difference quotients by each
  * parameter. */
 static void check_sensitivities(void)
 {
@@ -414,8 +414,8 @@ static void conditional(const fo_adaptive_state *s, double P[3])
     P[2] = 1.0 / d1;
 }
 
-/* A start has the projection's information on flux and drift. It ties an error of the resistance to
- * the flux as in steady state: the flux of the true resistance is equally likely. */
+/* A start has the projection's information on flux and drift. The start ties an error of the
+ * resistance to the flux as in steady state: the flux of the true resistance is equally likely. */
 static void check_start(void)
 {
     static fo_adaptive a;
@@ -446,12 +446,13 @@ static void check_start(void)
         one[i] = given[i / FO_NF * FO_NM + i % FO_NF] / 2.0;
     }
     compare("start, information", two, one, FO_NF * FO_NF);
-    /* one std of drop along -beta, at 0.03 rad a sample, moves the flux along -alpha by 2/3 */
+    /* the resistive drop of one std along -beta, at 0.03 rad a sample, moves the flux along -alpha
+     * by 2/3 */
     const double along = -0.02 / 0.03;
     double x[FO_NA] = {0.0}, cost = 0.0;
     x[0] = along;
     x[FO_NF + FO_RESISTANCE] = 1.0;
-    x[FO_NF + FO_PSI] = along / (double)a.std[FO_PSI]; /* this flux is shorter by the same amount */
+    x[FO_NF + FO_PSI] = along / (double)a.std[FO_PSI]; /* the flux is shorter by the same amount  */
     for (int i = 0; i < FO_NA; i++) {
         for (int j = 0; j < FO_NA; j++) {
             cost += x[i] * found[i * FO_NA + j] * x[j];
@@ -461,8 +462,8 @@ static void check_start(void)
         printf("start: a wrong resistance costs %g\n", cost);
         failed = 1;
     }
-    /* the parameter-to-EMF ratio adds 0.3 ratio^2 length^2 to the variance of the flux, and the
-     * same, turning, to that of the drift */
+    /* the parameter-to-EMF ratio adds 0.3 ratio^2 length^2 to the variance of the flux; the
+     * voltage's variance is added to that of the drift in the same way */
     double before[3], after[3];
     conditional(&s, before);
     const double tight = 1.0 / (double)s.d[FO_N];
@@ -582,7 +583,7 @@ static void check_soft_signs(void)
 }
 
 /* A tracker has settled if its error was small for a tenth of the memory. While the error is
- * larger, a thirtieth of the time counts. Small is within 3 degrees and three standard
+ * larger, a thirtieth of the time counts. A small error is within 3 degrees and three standard
  * deviations. */
 static void check_settling(void)
 {

@@ -1,4 +1,5 @@
-"""The observer's memory is overwritten while it runs: few rows are wrong, and it recovers."""
+"""The observer's memory is overwritten while it runs: few rows are wrong, and the observer
+recovers."""
 
 import subprocess
 

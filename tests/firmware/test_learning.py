@@ -82,13 +82,13 @@ def pairs(z):
     [
         (SETTINGS, {}),
         (replace(SETTINGS, saliency=-0.2), {}),
-        (SETTINGS, {"jump": 0.6}),  # the drift returns to its prior
-        (SETTINGS, {"jump": 5.0, "at": 0.35}),  # too early for a return to the prior
-        (SETTINGS, {"jump": 0.6, "at": 0.8}),  # just late enough for a return
+        (SETTINGS, {"jump": 0.6}),  # The drift returns to its prior.
+        (SETTINGS, {"jump": 5.0, "at": 0.35}),  # Too early for a return to the prior.
+        (SETTINGS, {"jump": 0.6, "at": 0.8}),  # Just late enough for a return.
         (SETTINGS, {"noise": 0.0, "inverter": 0.0}),
-        (SETTINGS, {"stop": True}),  # blocks end by time
-        (replace(SETTINGS, inverter_mean=0.0), {"inverter": -0.03}),  # no inverter adds voltage
-        (replace(SETTINGS, slow=0.5), {}),  # parameters are forgotten
+        (SETTINGS, {"stop": True}),  # Time ends the blocks.
+        (replace(SETTINGS, inverter_mean=0.0), {"inverter": -0.03}),  # No inverter adds voltage.
+        (replace(SETTINGS, slow=0.5), {}),  # Parameters are forgotten.
     ],
     ids=["plain", "salient", "jump", "early", "late", "quiet", "stop", "negative", "forgets"],
 )

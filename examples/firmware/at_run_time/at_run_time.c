@@ -76,8 +76,8 @@ void usual_motor(void)
     config_known = true;
 }
 
-/* Call this before the interrupt runs: it restores what was learnt. The winding may have cooled,
- * and its resistance may be wrong by a fifth. */
+/* Call this before the interrupt runs: it restores what was learnt. The winding may have cooled, so
+ * that the resistance may be wrong by a fifth. */
 void power_up(void)
 {
     uint32_t length = 0;
@@ -103,7 +103,8 @@ void control_interrupt(const float voltage[2], const float current[2])
 }
 
 /* The assumed resistance follows the winding's temperature sensor; the learnt difference stays.
- * Only fields of the configuration in use change, not its bases: change psi in adaptive.psi_f. */
+ * Change only fields of the configuration in use, but not its bases: psi changes in
+ * adaptive.psi_f. */
 void every_second(float winding_temperature)
 {
     fo_config warm = config;

@@ -43,9 +43,9 @@ void fluxobs_mesc_written(const MESC_motor_typedef *motor)
 bool fluxobs_mesc_run(MESC_motor_typedef *motor)
 {
     const float current[2] = {motor->FOC.Iab.a, motor->FOC.Iab.b};
-    /* Duties are written at the counter's top and bottom. They act half a period later, for half a
-     * period. The last write was at this top. In the interval that ends now, the duties written at
-     * the bottom before the last top acted, and then those written at that top. */
+    /* Duties are written at the counter's top and bottom. Duties act half a period later, for half
+     * a period. The last write was at this top. In the interval that ends now, the duties written
+     * at the bottom before the last top acted first, and then those written at that top. */
     const float acting[2] = {0.5f * (written[3][0] + written[2][0]),
                              0.5f * (written[3][1] + written[2][1])};
     if (stopped) {

@@ -1,13 +1,13 @@
 /* fluxobs in the VESC firmware: one motor.
  *
- * Call fluxobs_vesc_run(motor_now) at two places of mcpwm_foc_adc_int_handler (motor/mcpwm_foc.c).
- * Both are after foc_observer_update and the line that adds pll_speed * dt to its phase: one where
- * the motor runs, one where it does not run. The current is then that of this interrupt, and the
- * modulation is still the command of the last interrupt.
+ * Call fluxobs_vesc_run(motor_now) at two places of mcpwm_foc_adc_int_handler (motor/mcpwm_foc.c):
+ * one where the motor runs, one where it does not run. Both places are after foc_observer_update
+ * and the line that adds pll_speed * dt to the observer's phase. The current is then that of this
+ * interrupt, and the modulation is still the command of the last interrupt.
  *
  * For the adaptive observer use fo_adaptive_state, fo_adaptive_estimate, fo_adaptive_reset,
  * fo_adaptive_step, estimate.position in place of estimate, and motor_observer.plain.sample_time.
- * It learns the inverter's loss itself: give it mod_alpha_raw and mod_beta_raw.
+ * The adaptive observer learns the inverter's loss: give it mod_alpha_raw and mod_beta_raw.
  *
  * SPDX-License-Identifier: MIT
  */

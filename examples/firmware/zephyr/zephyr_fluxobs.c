@@ -2,8 +2,8 @@
  *
  * Zephyr has no interface for a current control. The application sets up timer and ADC of an
  * STM32F405: TIM1 counts up and down with repetition counter 1, and three low-side shunts are
- * sampled at its top. You write the functions that are declared here. Such an interrupt must not
- * call the kernel; a thread fetches the position by fluxobs_zephyr_get.
+ * sampled at the timer's top. You write the functions that are declared here. A zero-latency
+ * interrupt must not call the kernel; a thread fetches the position by fluxobs_zephyr_get.
  *
  * For the adaptive observer use fo_adaptive_state, fo_adaptive_estimate, fo_adaptive_reset,
  * fo_adaptive_step, estimate.position in place of estimate, and motor_observer.plain.sample_time.
@@ -31,8 +31,8 @@ BUILD_ASSERT(IS_ENABLED(CONFIG_FPU_SHARING), "the interrupt spoils the threads' 
 #define AMPERES_PER_COUNT (-3.3f / 4096.0f / (0.005f * 10.0f)) /* positive into the machine */
 #define VOLTS_PER_COUNT (3.3f / 4096.0f * 31.0f)
 /* Share of the period between a sample and the effect of its command. The timer loads new duties
- * half a period after the sample. Use 1.0f if its update is at the sample, as with a repetition
- * counter that is shifted by one. */
+ * half a period after the sample. Use 1.0f if the timer loads them at the sample, as with a
+ * repetition counter that is shifted by one. */
 #ifndef ACTS_AFTER
 #define ACTS_AFTER 0.5f
 #endif

@@ -125,16 +125,16 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     A fast filter for (flux, drift) uses the residual of the machine's relation, averaged over an
     eighth of a turn. The parameters (magnet flux, resistance, the inverter's voltage loss, current
-    offsets, an asymmetry of the phases) are learnt from the innovations of the fast filter; their
-    rows follow in the same information factor. The uncertainty of the parameters is part of the
-    position's standard deviation, and decides whether a position can be valid. A parameter that the
-    data do not determine keeps its prior: at constant speed and load, resistance, inverter and
-    magnet flux are not identifiable separately. A standard deviation of 0 marks a parameter as
-    exact.
+    offsets, an asymmetry of the phases) are learnt from the innovations of the fast filter; the
+    rows of the parameters follow those of the filter in the same information factor. The
+    uncertainty of the parameters is part of the position's standard deviation, and decides whether
+    a position can be valid. A parameter that the data do not determine keeps its prior: at constant
+    speed and load, resistance, inverter and magnet flux are not identifiable separately. A standard
+    deviation of 0 marks a parameter as exact.
 
     A :class:`LeastSquaresObserver` runs inside, on voltages corrected by the learnt parameters.
-    This plain observer starts the filter and guards it. Until its position is known, its
-    information is projected on the manifold of consistent (flux, drift, magnet flux).
+    This plain observer starts the filter and guards it. Until the position of the plain observer is
+    known, its information is projected on the manifold of consistent (flux, drift, magnet flux).
 
     :meth:`for_machine` chooses these fields from a machine.
 
@@ -152,7 +152,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Assumed dead time and device drops of a phase, and their standard deviation [V].
     inverter_current : float
         Phase current at which the inverter's smoothed sign, tanh(i / this), reaches three quarters
-        [A]. Only its order of magnitude matters: the loss is a sum of a harder and a softer sign.
+        [A]. Only the order of magnitude matters: the loss is a sum of a harder and a softer sign.
     offset_std : float
         Standard deviation of the offset of a current component [A].
     asymmetry_std : float
@@ -164,7 +164,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         deviation.
     lag_std : float
         Standard deviation of the delay of the voltages [s]. An error of the delay leaves no
-        residual; this standard deviation is part of the position's.
+        residual; this standard deviation is part of the standard deviation of the position.
     slow_memory : float
         Time in which a parameter may change by one standard deviation [s].
     projection : {"start", "never"}
@@ -309,7 +309,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         machine : RotatingMachine
             The machine, with the assumed inverter_voltage and inverter_current.
         sample_time : float
-            [s].
+            Sample time [s].
         unknowns : tuple of {"drift", "resistance", "inverter", "asymmetry"}
             The unknowns. The drift, which current offsets cause, is always estimated.
         psi_f_std, resistance_std, inverter_std : float, optional
@@ -366,7 +366,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             # The filter models i_d itself, and its guard must not depend on the filter's angle.
             plain = replace(plain, flux_map=None)
         rated = rated_current if rated_current is not None else machine.rated_current
-        assert rated is not None  # the plain observer requires it
+        assert rated is not None  # the plain observer requires a rated current
         if not machine.magnets and psi_f_std:
             raise ObserverError(f"psi_f_std: a {machine.kind} has no magnets")
         flux = plain.flux_base if machine.magnets else 0.0

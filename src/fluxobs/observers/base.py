@@ -20,7 +20,7 @@ class Estimate:
     flux: Array = field(
         metadata=output(
             "Wb",
-            "Flux linkage. A current bias δ_i adds L δ_i to it (theory, section 3)",
+            "Flux linkage. A current bias δ_i adds L δ_i to the flux (theory, section 3)",
             vector=True,
         )
     )
@@ -39,7 +39,7 @@ class Estimate:
     speed_e: Array = field(metadata=output("rad/s", "Electrical speed"))
     drift: Array = field(
         metadata=output(
-            "V", "R δ_i - B δ_u, rate at which the open-loop flux integral drifts", vector=True
+            "V", "R δ_i - B δ_u: the rate at which the open-loop flux integral drifts", vector=True
         )
     )
     theta_e_std: Array = field(

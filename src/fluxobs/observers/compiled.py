@@ -51,7 +51,7 @@ def read_columns(
 
 
 def make_core(core: Any, *arguments: Any) -> Any:
-    """Make a compiled core; raise ObserverError if it refuses its configuration."""
+    """Make a compiled core; raise ObserverError if the core refuses the configuration."""
     try:
         return core(*arguments)
     except ValueError as error:
@@ -85,10 +85,10 @@ class CompiledObserver(Generic[EstimateType]):
     ) -> CompiledState:
         """Return a state that starts at a known angle: from Hall sensors, an alignment, an encoder.
 
-        The seeded angle is propagated with a growing standard deviation. Once the standard
-        deviation of the least squares is smaller, its angle is used, which happens earlier than
-        without a seed. The conditions of `valid` do not change. The filter of an adaptive observer
-        runs at once if the angle is known to ten degrees.
+        The seeded angle is propagated with a growing standard deviation. When the standard
+        deviation of the least squares becomes smaller, their angle is used. This happens earlier
+        than without a seed. The conditions of `valid` do not change. The filter of an adaptive
+        observer runs at once if the angle is known to ten degrees.
 
         Parameters
         ----------
@@ -101,7 +101,8 @@ class CompiledObserver(Generic[EstimateType]):
             Electrical speed [rad/s].
         psi_f, psi_f_std : float
             Length of the position vector and its standard deviation [Wb]. The length is negative if
-            the vector points backwards. 0 means the flux base, and a quarter of it.
+            the vector points backwards. A length of 0 means the flux base; a standard deviation of
+            0 means a quarter of the length.
         state : CompiledState, optional
             For the adaptive observer: a state whose learnt parameters are kept.
 
@@ -208,7 +209,7 @@ class CompiledObserver(Generic[EstimateType]):
         ----------
         voltage : Record or (*batch, rows, 2) array_like
             A record, whose lag assigns voltages to intervals. Or an array, given with `current`:
-            its row k is the mean over the interval that ends at row k [V].
+            row k is the mean over the interval that ends at row k [V].
         current : (*batch, rows, 2) array_like
             Current at each row [A].
         volt_seconds : (*batch, rows, 2) array_like, instead of voltage

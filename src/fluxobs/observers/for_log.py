@@ -24,7 +24,7 @@ from .unknowns import adapts, check_adapted
 #: Ordinary voltage offset, as a share of the voltage. Usual converters have offsets of 0.2 to 2 %
 #: of their range, and drives use a fraction of that range (benchmarks/measured.py).
 VOLTAGE_OFFSET = 0.01
-#: Ordinary current bias, as a share of the rated current; the reason is that of VOLTAGE_OFFSET.
+#: Ordinary current bias, as a share of the rated current; for the reason, see VOLTAGE_OFFSET.
 CURRENT_OFFSET = 0.02
 #: Least current noise, as a share of the rated current: half a step of a 12-bit converter.
 LEAST_NOISE = 1e-4
@@ -269,8 +269,8 @@ def _check_identifiable(machine: Machine, unknowns: Sequence[Unknown]) -> None:
     advice = "Run with --unknowns drift"
     if isinstance(machine, RotatingMachine):
         advice += (
-            ": the flux then has an error of L times the current bias, but λ - L i, hence position "
-            "and speed, has none"
+            ": the flux then has an error of L times the current bias, but λ - L i, position "
+            "and speed have no error"
         )
     raise FluxobsError(
         f"{' and '.join(unknowns)} cannot both be estimated for kind {machine.kind}: "

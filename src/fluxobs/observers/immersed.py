@@ -32,8 +32,8 @@ CONTRADICTIONS = MISSING
 #: A restart multiplies the innovations' power by this factor. Noise above the assumed noise then
 #: cannot cause restarts for ever: four restarts compensate an assumed noise 16 times too small.
 RESTART_POWER = 4.0
-#: A current bias beyond this many standard deviations of its prior is an artefact of noise. It
-#: corrupts the flux, which is then not valid.
+#: A current bias beyond this many standard deviations of its prior is an artefact of noise. Such a
+#: bias corrupts the flux, which is then not valid.
 BIAS_LIMIT = 3.0
 #: A current bias is identified if its standard deviation falls below this share of its prior
 #: standard deviation. The share is 1 without data, and 0.7 for each of two ports if one direction
@@ -41,8 +41,8 @@ BIAS_LIMIT = 3.0
 UNSEEN_BIAS = 0.25
 #: Samples between two prior re-injections, each of one row, as in the compiled observer.
 REINJECTION_INTERVAL = 2
-#: Weights of the last four currents, newest first. They give the mean over the last interval of the
-#: cubic through these currents.
+#: Weights of the last four currents, newest first. The weights give the mean of the cubic through
+#: these currents over the last interval.
 QUADRATURE = np.array([9.0, 19.0, -5.0, 1.0]) / 24
 
 
@@ -96,23 +96,23 @@ class ImmersionEstimate:
 
 
 class ImmersionState(NamedTuple):
-    """State: information ``R x = z``, the information from noise, and the last samples."""
+    """State of the observer: information ``R x = z``, information from noise, last samples."""
 
     R: Array
     z: Array
-    noise: Array  # information that would result from noise alone
-    currents: Array  # the last four currents, newest first
+    noise: Array  # Information that would result from noise alone.
+    currents: Array  # The last four currents, newest first.
     voltage: Array
-    power: float = 1.0  # mean square of the innovations
-    correlation: float = 0.0  # correlation of successive innovations
+    power: float = 1.0  # Mean square of the innovations.
+    correlation: float = 0.0  # Correlation of successive innovations.
     last_innovation: Array | None = None
-    last_normal: Array | None = None  # last innovation divided by its expected size
+    last_normal: Array | None = None  # Last innovation divided by its expected size.
     samples: int = 0
     bad_voltages: int = 0
     bad_currents: int = 0
-    missing: int = 0  # in a row
-    contradictions: int = 0  # in a row
-    known: int = 0  # samples in a row with known flux
+    missing: int = 0  # In a row.
+    contradictions: int = 0  # In a row.
+    known: int = 0  # Samples in a row with known flux.
     outliers: int = 0
     restarts: int = 0
 
@@ -129,9 +129,9 @@ class ImmersionObserver:
         Resistance in ``λ̇ = -R i + B u`` [Ω].
     B : (n, m) array_like
     sample_time : float
-        [s], > 0.
+        Sample time [s], > 0.
     memory : float
-        [s], at least ten samples.
+        Exponential memory [s], at least ten samples.
     flux_base : (n,) array_like
         Magnitude of the flux [Wb]; a factor of a few does not matter.
     constraint_noise : (r,) array_like
@@ -392,7 +392,7 @@ class ImmersionObserver:
             if state.contradictions + 1 < CONTRADICTIONS:
                 return None
             state = self._erase(state)._replace(
-                # The held currents were not measured.
+                # Currents that replaced missing currents were not measured.
                 currents=np.tile(current, (4, 1)),
                 restarts=state.restarts + 1,
                 power=RESTART_POWER * max(state.power, 1.0),
@@ -437,7 +437,7 @@ class ImmersionObserver:
         prior_variance = np.square(covariance / self._prior).sum(axis=1)
         variance = level * np.diag(covariance) + max(1 - level, 0.0) * prior_variance
         std = np.sqrt(variance)
-        # Share of each state's marginal information that comes from noise.
+        # Share of noise in the marginal information on each state.
         noise_information = (covariance * (state.noise @ covariance)).sum(axis=0)
         shares = noise_information / np.diag(covariance)
         flux_share = shares[slices["flux"]]

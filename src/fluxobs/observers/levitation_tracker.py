@@ -32,7 +32,7 @@ class LevitationTracker:
     ----------
     machine : MagLev2DOF
     sample_time : float
-        [s], > 0.
+        Sample time [s], > 0.
     bandwidth : float
         Magnitude of both poles [rad/s], > 0.
     """

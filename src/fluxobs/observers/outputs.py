@@ -27,7 +27,7 @@ class Output:
     about : str
         Description.
     vector : bool
-        Whether it has two components, one per port: shape (..., 2), else (...).
+        Whether the output has two components, one per port: shape (..., 2), else (...).
     boolean : bool
     in_files : bool
         Whether an estimation writes it to files.

@@ -60,7 +60,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
     position_inductance : float
         L of the position vector λ - L i [H].
     sample_time : float
-        [s], > 0.
+        Sample time [s], > 0.
     memory : float
         Exponential memory [s], ten to a million samples.
     flux_base : float
@@ -79,9 +79,9 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
     tracker_bandwidth : float
         Bandwidth of the tracker [rad/s].
     held : float
-        R h/L if voltages are held over a sample, else 0. It is the share of a current's kink that
-        decays within the sample, and adds the kinks to the resistive drop. With 0 the current is
-        assumed smooth.
+        R h/L if voltages are held over a sample, else 0. R h/L is the share of a current's kink
+        that decays within the sample; it adds the kinks to the resistive drop. With 0 the current
+        is assumed smooth.
     precision : {"double", "single"}
         "single" computes the same numbers as a microcontroller.
     flux_map : FluxMap, optional
@@ -209,7 +209,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         ----------
         machine : RotatingMachine
         sample_time : float
-            [s].
+            Sample time [s].
         memory : float, optional
             Exponential memory [s], the only tuning parameter. The default is 0.03 s, which suited
             all records tried. The default is shorter if L/R is so short that noise in the resistive
@@ -223,8 +223,8 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         current_noise : float, optional
             Std of a current component [A]; default 0.2 % of the rated current.
         drift_prior : float, optional
-            Largest plausible drift [V]; default: the larger of 3 % of the rated resistive drop and
-            the drift that turns the flux by 0.1 rad within the memory.
+            Largest plausible drift [V]. The default is 3 % of the rated resistive drop or the drift
+            that turns the flux by 0.1 rad within the memory, whichever is larger.
         held : {"auto", True, False}
             Whether each voltage is held over its sample, like an inverter's mean voltage. The
             choice matters where R h/L is large: the motor's time constant is small, or samples per

@@ -1,7 +1,7 @@
-/* Costs of a multiplication with an addition on a processor without a floating-point unit: emulated
- * in single precision; in fixed point with a 64-bit product; in fixed point by the upper half of
- * the product, from 16-bit parts. Also of a division. Block floating point would need a shift of a
- * row in addition. */
+/* Costs of a division, and of a multiplication with an addition, on a processor without a
+ * floating-point unit. The variants are emulated single precision, fixed point with a 64-bit
+ * product, and fixed point with the upper half of the product, from 16-bit parts. Block floating
+ * point would need an additional shift of each row. */
 #include "target.h"
 
 enum { COUNT = 64 };

@@ -1,9 +1,9 @@
 """Upper bound of the instructions of a step, from a trace of an emulated processor.
 
 The count of an instruction of the observer is its largest count in any call. An instruction that
-never ran counts once if others of its function ran. Even a call with the worst of all branches
-cannot be longer, provided that no loop runs longer than in the record. Loops of the sources have
-constant counts; loops of emulated arithmetic (Cortex-M0) do not.
+never ran counts once if other instructions of its function ran. Even a call with the worst of all
+branches cannot need more instructions, provided that no loop runs longer than in the record. Loops
+of the sources have constant counts; loops of emulated arithmetic (Cortex-M0) have varying counts.
 """
 
 from __future__ import annotations

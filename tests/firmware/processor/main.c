@@ -1,4 +1,4 @@
-/* Replays the exported test vectors on an emulated processor. It compares outputs, counts
+/* Replays the exported test vectors on an emulated processor. The program compares outputs, counts
  * instructions and measures the stack. */
 #include <stddef.h>
 

@@ -4,12 +4,12 @@ Exports a machine, cross-compiles the folder for Cortex-M4F and Cortex-M0, and r
 vectors under QEMU. Compares the outputs with the library's numbers, and prints the costs of a
 sample.
 
-    python tests/firmware/processor/replay.py           # skips with a word where tools are missing
+    python tests/firmware/processor/replay.py           # prints which tools are missing
     python tests/firmware/processor/replay.py --update  # writes the costs into the package
 
 Instructions are counted, not timed: with ``-icount shift=10`` every instruction lasts 1024 ns of
 virtual time. The processor's SysTick timer runs on virtual time and is read before and after each
-call. Its period is so short that ticks give the exact number of instructions.
+call. The period of the timer is so short that ticks give the exact number of instructions.
 """
 
 from __future__ import annotations
@@ -60,8 +60,10 @@ class Build:
     board: str
     clock: float  # frequency of the SysTick timer [Hz]
     linker: str
-    hard: bool  # has a floating-point unit
-    fused: bool = False  # the compiler may fuse multiplications with additions: last digits differ
+    hard: bool  # Has a floating-point unit.
+    fused: bool = (
+        False  # The compiler may fuse multiplications with additions, which changes last digits.
+    )
 
 
 KINDS = {"plain": ("drift",), "adaptive": ("drift", "resistance", "inverter")}
@@ -218,7 +220,7 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
 
 
 def print_shares(machine: fluxobs.Machine, build: Build, instructions: np.ndarray) -> None:
-    """Print the costs of a sample before the filter of the adaptive observer runs, and then."""
+    """Print the costs of a sample before and while the adaptive observer's filter runs."""
     observer = fluxobs.AdaptiveObserver.for_machine(
         machine,
         sample_time=SAMPLE_TIME,

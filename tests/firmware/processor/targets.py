@@ -1,6 +1,6 @@
 """Sizes of the exported folder on every usual processor: code, state, parameters and stack.
 
-    python tests/firmware/processor/targets.py           # leaves out those without a compiler here
+    python tests/firmware/processor/targets.py           # omits processors without a compiler
     python tests/firmware/processor/targets.py --update  # writes docs/firmware.md
 
 Code is the part of the sources that a linker keeps for a program that calls fo_reset and fo_step,

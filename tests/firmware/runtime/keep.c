@@ -1,6 +1,6 @@
-/* For an exported folder. The blob beside it must contain the observer of the source, unpacking
- * must undo packing, any damaged byte must be detected, and learnt values must be restored.
- * Argument: the blob. */
+/* For an exported folder. The blob beside the folder must contain the observer of the source,
+ * unpacking must undo packing, any damaged byte must be detected, and learnt values must be
+ * restored. Argument: the blob. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>

@@ -1,5 +1,5 @@
-/* One thread writes estimates like an interrupt, another thread reads them: it must never read a
- * mixture. */
+/* One thread writes estimates like an interrupt, another thread reads them. The reader must never
+ * get a mixture of two estimates. */
 #include <pthread.h>
 #include <stdio.h>
 #include <string.h>
