@@ -4,7 +4,7 @@
 
 #include "fluxobs_adaptive.h"
 
-/* What the adaptive observer adds: the member of fo_adaptive_estimate, and its name as a column. */
+/* Additional members of fo_adaptive_estimate, and their names as columns. */
 #define ADAPTIVE_ESTIMATE_FIELDS(X)                                                      \
     X(drift_std, drift_std) X(psi_f, psi_f) X(psi_f_std, psi_f_std)                      \
     X(resistance_error, resistance_error) X(resistance_std, resistance_std)              \
@@ -20,10 +20,11 @@ enum {
     ADAPTIVE_COLUMNS = COLUMNS ADAPTIVE_ESTIMATE_FIELDS(COUNT_MEMBER)
 };
 
-/* Write an estimate to the columns, `plane` numbers apart, that begin at `row`. */
+/* Write an estimate to columns that begin at `row` and are `plane` numbers apart. */
 static inline void write_plain(const fo_estimate *e, double *row, size_t plane)
 {
-    size_t at = 0; /* known when compiled: the columns' places are computed once a record */
+    size_t at = 0; /* known at compile time: the places of the columns are computed once per
+                    * record */
 #define PUT_VECTOR(name) \
     for (int n = 0; n < FO_N; n++) row[plane * at++] = e->name[n];
 #define PUT_NUMBER(name) row[plane * at++] = e->name;

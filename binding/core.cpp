@@ -1,4 +1,4 @@
-// Python's view of the deployable observer. Arrays in, arrays out, the GIL released; in a batch each
+// Python interface of the deployable observer, for arrays. The GIL is released; in a batch each
 // thread runs one record at a time. Python checks shapes and values.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -58,7 +58,7 @@ nb::ndarray<nb::numpy, T> owned(std::unique_ptr<T[]> data, std::initializer_list
     return nb::ndarray<nb::numpy, T>(data.release(), shape, owner);
 }
 
-// `field` is the one that is wrong, if it is known.
+// `field` is the wrong field, if it is known.
 void check(fo_error error, const char *field) {
     const std::string where = field ? std::string(field) + ": " : std::string();
     switch (error) {
@@ -84,7 +84,7 @@ nb::ndarray<nb::numpy, std::uint8_t> copies(const State &state, std::size_t lane
     return owned(std::move(raw), {lanes, sizeof state});
 }
 
-// The observer and its flux map as bytes, an argument of the calls in xla.cpp.
+// The observer and its flux map as bytes: an argument of the calls in xla.cpp.
 template <class Observer>
 nb::ndarray<nb::numpy, std::uint8_t> image_of(const Observer &observer, const fo_map *map) {
     const std::vector<char> bytes = Parameters<Observer>::bytes(observer, map);
@@ -93,9 +93,10 @@ nb::ndarray<nb::numpy, std::uint8_t> image_of(const Observer &observer, const fo
     return owned(std::move(raw), {bytes.size()});
 }
 
-// (lanes, bytes), (lanes, rows, 2) twice -> states, columns (count, lanes, rows), valid. `step`
-// takes a state, source and current of a row, and where its columns begin; it returns `valid`.
-// `together` takes so many lanes at once, their states, sources, currents, columns and `valid`.
+// (lanes, bytes) and twice (lanes, rows, 2) -> states, columns (count, lanes, rows), valid. `step`
+// receives a state, source and current of a row, and the place of its columns; it returns `valid`.
+// `together` receives this many lanes at once: their states, sources, currents, columns and
+// `valid`.
 template <class State, class Step, class Together>
 nb::tuple run_lanes(const States &states, const Signals &source, const Signals &current,
                     unsigned threads, std::size_t count, Step step, std::size_t group,
@@ -151,7 +152,7 @@ nb::tuple run_lanes(const States &states, const Signals &source, const Signals &
 
 // ---- made from the lists of the C headers --------------------------------------------------
 
-// (name, components) of every column or group of them, in the order in which they are written.
+// (name, components) of every column or group of columns, in the order in which they are written.
 nb::list outputs(bool adaptive) {
     nb::list out;
     auto add = [&](const char *name, int components) { out.append(nb::make_tuple(name, components)); };
@@ -165,7 +166,7 @@ nb::list outputs(bool adaptive) {
     return out;
 }
 
-// name -> meaning of every number that a step uses.
+// name -> meaning, for every number that a step uses.
 nb::dict meanings(bool adaptive) {
     nb::dict out;
 #define MEANING(name, meaning) out[#name] = meaning;
@@ -179,7 +180,7 @@ nb::dict meanings(bool adaptive) {
     return out;
 }
 
-// name -> value of the plain observer's thresholds.
+// name -> value, for the thresholds of the plain observer.
 nb::dict thresholds() {
     nb::dict out;
 #define THRESHOLD(name) out[#name] = static_cast<double>(name);
@@ -187,7 +188,7 @@ nb::dict thresholds() {
     return out;
 }
 
-// Reads the fields of a configuration from a mapping, which must name all of them and nothing else.
+// Reads the fields of a configuration from a mapping that must contain exactly these fields.
 class Fields {
 public:
     explicit Fields(const nb::dict &given) : given_(given) {}
@@ -217,7 +218,7 @@ private:
 
 // ---- configuration -----------------------------------------------------------------------------
 
-// The settings that a machine's sizes tell; those given are 0 where they are to be chosen.
+// Settings chosen from the sizes of a machine; a setting of 0 is to be chosen.
 nb::dict choose(const nb::dict &sizes, double sample_time, double memory, double current_noise,
                 double drift_prior) {
     fo_sizes of;
@@ -246,7 +247,7 @@ std::pair<double, double> kink_weights(double share) {
     return {weights[0], weights[1]};
 }
 
-// name -> value of the usual settings.
+// name -> value, for the usual settings.
 nb::dict usual() {
     nb::dict out;
 #define ADD_USUAL(name, value) out[#name] = static_cast<double>(value);
@@ -327,8 +328,8 @@ private:
 
 class Core {
 public:
-    // `given` maps every field of fo_config to a number, or to an array of doubles; `map` is empty,
-    // or maps every field of fo_map.
+    // `given` maps every field of fo_config to a number or an array of doubles. `map` is empty, or
+    // maps every field of fo_map.
     Core(const nb::dict &given, const nb::dict &map) {
         Fields fields(given);
 #define TAKE_MATRIX(name) fields.matrix(#name, config_.name);
@@ -400,7 +401,7 @@ public:
             });
     }
 
-    // the state that starts at a known angle, one lane
+    // state of one lane that starts at a known angle
     nb::ndarray<nb::numpy, std::uint8_t> seed(const nb::dict &given, const Vector &current) const {
         const fo_seed at = seed_of(given);
         fo_real i[FO_N];
@@ -478,7 +479,7 @@ public:
             1, [](auto &&...) {});
     }
 
-    // `states` with what has been learnt, started at a known angle
+    // `states` with the learnt values, started at a known angle
     nb::ndarray<nb::numpy, std::uint8_t> seed(const nb::dict &given, const Vector &current,
                                               const States &states) const {
         const fo_seed at = seed_of(given);
@@ -493,12 +494,12 @@ public:
         return image_of(observer_, observer_.plain.map);
     }
 
-    // as in Core
+    // the same as Core::counters
     static nb::tuple counters(const States &states, std::size_t lane) {
         return counts(lane_of<fo_adaptive_state>(states, lane).plain);
     }
 
-    // name -> number or list of what has been learnt
+    // name -> number or list, for the learnt values
     nb::dict learnt(const States &states, std::size_t lane) const {
         const auto state = lane_of<fo_adaptive_state>(states, lane);
         fo_learnt found;
@@ -509,7 +510,7 @@ public:
         return out;
     }
 
-    // every lane's state, reset but for what it has learnt
+    // every lane's state, reset except for its learnt values
     nb::ndarray<nb::numpy, std::uint8_t> restart(const States &states, bool frozen) const {
         const std::size_t lanes = states.shape(0), size = sizeof(fo_adaptive_state);
         auto raw = std::make_unique<std::uint8_t[]>(lanes * size);

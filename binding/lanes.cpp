@@ -1,8 +1,8 @@
-/* The regular samples of fluxobs.c over lanes. The algebra is that of the firmware, compiled for
- * vectors (fluxobs_algebra.h). Decisions are selections here and branches there, where they skip
- * work; their arithmetic has the same order, so that rounding is the same. A lane whose sample is
- * bad or an outlier takes that step by fo_step. tests/observers/test_lanes.py compares every output
- * and every byte of the states. */
+/* Processes the regular samples of fluxobs.c in lanes. The algebra is that of the firmware,
+ * compiled for vectors (fluxobs_algebra.h). Branches of fluxobs.c that skip work are selections
+ * here; the arithmetic has the same order, so that rounding is the same. If a lane's sample is bad
+ * or an outlier, fo_step processes it. tests/observers/test_lanes.py compares every output and
+ * every byte of the states. */
 #include "lanes.h"
 
 extern "C" {
@@ -30,7 +30,7 @@ typedef int32_t integer;
 typedef int64_t integer;
 #endif
 typedef fo_real V __attribute__((vector_size(32)));
-typedef integer M __attribute__((vector_size(32))); /* a mask: all bits of a lane are set, or none */
+typedef integer M __attribute__((vector_size(32))); /* mask: all bits of a lane, or none */
 
 inline V select(M mask, V yes, V no) {
 #if defined(__AVX2__) && FO_SINGLE
@@ -103,7 +103,7 @@ inline V atan2_of(V y, V x) {
     return select(y < ZERO, -angle, angle);
 }
 
-/* The numbers of fo_state that a good sample changes. */
+/* Numbers of fo_state that a good sample changes. */
 #define LANE_NUMBERS(X)                                                                        \
     X(step) X(length) X(noise_ratio) X(noise_inflation) X(voltage_turn) X(innovation)          \
     X(power) X(lag_one) X(noise_share) X(inflation) X(angle_variance) X(drift_prior) X(theta)  \
@@ -207,7 +207,7 @@ template <int I> void reinject(const fo_observer &o, Lanes &l, M due) {
     }
 }
 
-/* The lanes are usually at the same place of the round. */
+/* The lanes are usually at the same place in the round. */
 inline void reinject_due(const fo_observer &o, Lanes &l, M turn) {
     switch (any(turn != turn[0]) ? -1 : turn[0]) {
         case 0: reinject_all<0>(o, l); break;
@@ -233,7 +233,8 @@ inline V position_vector(const fo_observer &o, const Lanes &l, const V flux[2], 
     return inner(p, p);
 }
 
-/* update_variances of fluxobs.c in the lanes `due`, where the position vector is long enough. */
+/* Does the work of update_variances (fluxobs.c) in the lanes `due`, if the position vector is long
+ * enough. */
 inline void update_variances(Lanes &l, const V p[2], V square, M due, M long_enough) {
     const M which = due & long_enough;
     const V *drift = &l.x[DRIFT], *noise = l.info.noise;
@@ -260,7 +261,7 @@ inline void update_variances(Lanes &l, const V p[2], V square, M due, M long_eno
     }
 }
 
-/* integrate_open_loop of fluxobs.c, in the lanes `which`. */
+/* Does the work of integrate_open_loop (fluxobs.c) in the lanes `which`. */
 inline V integrate_open_loop(const fo_observer &o, Lanes &l, const V v[2], M which) {
     V p[2], flux[2];
     const M first = which & (l.open_loop_time == ZERO);
@@ -285,7 +286,7 @@ inline V integrate_open_loop(const fo_observer &o, Lanes &l, const V v[2], M whi
     return variance;
 }
 
-/* The estimates of a step, over lanes. */
+/* Estimates of a step, in lanes. */
 struct Estimates {
     V flux[2], psi_f, theta_e, theta_e_tracked, speed_e, drift[2], theta_e_std, innovation,
         noise_share;
@@ -298,8 +299,8 @@ struct Sample {
     V source[2], current[2];          /* volt-seconds without kinks */
     V row[FO_NX], rhs;
     interval t;
-    V length;                         /* of the position vector's step */
-    M irregular;                      /* a bad sample or an outlier: left to the scalar step */
+    V length;                         /* length of the position vector's step */
+    M irregular;                      /* a bad sample or an outlier, for the scalar step */
 };
 
 inline void prepare_sample(const fo_observer &o, const Lanes &l, const V voltage[2], const V current[2],
@@ -372,7 +373,7 @@ inline void reset_information(Lanes &l, M diverged) {
     l.restarts -= diverged; /* a mask is -1 */
 }
 
-/* track of fluxobs_internal.h; the lanes `stopped` stop it instead. */
+/* Does the work of track (fluxobs_internal.h); the lanes `stopped` stop the tracker instead. */
 inline void track(const fo_observer &o, Lanes &l, V theta, M stopped) {
     const fo_real h = o.sample_time;
     auto &t = l.tracker;
@@ -390,7 +391,7 @@ inline void track(const fo_observer &o, Lanes &l, V theta, M stopped) {
     t.settled = select(l.lost, V{}, t.settled);
 }
 
-/* The step of an ordinary sample. */
+/* Processes an ordinary sample. */
 inline void step(const fo_observer &o, Lanes &l, Sample &s, Estimates &e) {
     V p[2];
     for (int k = FO_HISTORY - 1; k > 0; k--)
@@ -420,7 +421,7 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Estimates &e) {
 
     solve(&l.info, l.x);
     V square = position_vector(o, l, &l.x[FLUX], p);
-    const M diverged = ~(square < RUNAWAY); /* or not a number; happens after a long rest */
+    const M diverged = ~(square < RUNAWAY); /* also NaN; happens after a long standstill */
     if (any(diverged)) {
         reset_information(l, diverged);
         square = position_vector(o, l, &l.x[FLUX], p);
@@ -496,7 +497,7 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Estimates &e) {
               (l.voltage_turn < VOLTAGE_LIMIT * l.length);
 }
 
-/* A row of every record: [records][rows][2]. */
+/* One row of every record: [records][rows][2]. */
 inline void read(const double *from, size_t rows, size_t row, V to[2]) {
 #if defined(__AVX2__) && FO_SINGLE
     __m128 pairs[4]; /* of records k and k + 1 */
@@ -504,8 +505,8 @@ inline void read(const double *from, size_t rows, size_t row, V to[2]) {
         const double *one = from + 2 * (static_cast<size_t>(2 * k) * rows + row);
         const __m256d both = _mm256_insertf128_pd(_mm256_castpd128_pd256(_mm_loadu_pd(one)),
                                                   _mm_loadu_pd(one + 2 * rows), 1);
-        /* beyond its range a number of single precision is infinite, and not rounded to its
-         * largest */
+        /* a number beyond the range of single precision becomes infinite, and is not rounded to the
+         * largest one */
         const __m256d sign = _mm256_and_pd(both, _mm256_set1_pd(-0.0));
         const __m256d most = _mm256_set1_pd(3.4028234663852886e38);
         const __m256d beyond = _mm256_cmp_pd(_mm256_xor_pd(both, sign), most, _CMP_GT_OQ);
@@ -524,7 +525,7 @@ inline void read(const double *from, size_t rows, size_t row, V to[2]) {
         for (int n = 0; n < 2; n++) {
             const double x =
                 from[2 * (static_cast<size_t>(k) * rows + row) + static_cast<size_t>(n)];
-            /* beyond its range a number of single precision is infinite */
+            /* a number beyond the range of single precision becomes infinite */
             const double most =
                 sizeof(fo_real) < sizeof x ? 3.4028234663852886e38 : __builtin_inf();
             to[n][k] = static_cast<fo_real>(x > most    ? __builtin_inf()
@@ -534,23 +535,23 @@ inline void read(const double *from, size_t rows, size_t row, V to[2]) {
 #endif
 }
 
-/* Rows that are written together. A column of a record lies in pages of its own: one row at a time
- * would ask for all these pages again and again. */
+/* Number of rows that are written together. Each column of a record is in its own memory pages:
+ * single rows would access all these pages again and again. */
 constexpr size_t TILE = 64;
 
-/* Asks the memory for a part of what the next tile is written to: the processor's own guesses do
- * not reach so many places at once. */
+/* Prefetches a part of the memory for the next tile, because the processor's own prefetch cannot
+ * follow so many places at once. */
 inline void prefetch(const double *next, size_t rows, size_t plane, size_t place) {
     const double *at = next + (place % LANES) * rows + place / LANES * (64 / sizeof(double));
     if (place / LANES < TILE * sizeof(double) / 64)
         for (size_t n = 0; n < COLUMNS; n++) __builtin_prefetch(at + plane * n, 1);
 }
 
-/* A column's last rows, a record's `rows` numbers scalar. */
+/* Writes a column's last rows; `rows` is the number of rows of a record. */
 inline void write(const V tile[TILE], double *to, size_t rows, size_t count) {
     size_t r = 0;
 #if defined(__AVX2__)
-    for (; r + 4 <= count; r += 4) { /* four rows of four records, turned round */
+    for (; r + 4 <= count; r += 4) { /* transpose four rows of four records */
         for (int first = 0; first < LANES; first += 4) {
             __m256d of[4];
             for (size_t n = 0; n < 4; n++) {
@@ -593,8 +594,8 @@ void lanes_run(const fo_observer *observer, fo_state *states, const double *volt
     const fo_observer &o = *observer;
     Lanes now;
     __builtin_memset(&now, 0, sizeof now);
-    V tile[COLUMNS][TILE]; /* of the last rows */
-    bool scalar[LANES];    /* its state is in `states`, otherwise in `now` */
+    V tile[COLUMNS][TILE]; /* estimates of the last rows */
+    bool scalar[LANES];    /* whether the state is in `states`, otherwise in `now` */
     for (int k = 0; k < LANES; k++) scalar[k] = true;
 
     for (size_t row = 0; row < rows; row++) {

@@ -1,4 +1,4 @@
-/* Conversion of Python's numbers to those of the observer. */
+/* Converts Python's numbers to numbers of the observer. */
 #ifndef FLUXOBS_NUMBERS_H
 #define FLUXOBS_NUMBERS_H
 
@@ -9,7 +9,8 @@ extern "C" {
 #include "fluxobs_real.h"
 }
 
-/* Beyond the range of single precision a number becomes infinite; the cast alone is undefined. */
+/* Beyond the range of single precision a number becomes infinite. The cast alone would be
+ * undefined. */
 inline fo_real real(double x) {
     constexpr double largest = std::numeric_limits<fo_real>::max();
     if (std::abs(x) > largest)

@@ -1,5 +1,5 @@
-/* A prepared observer as bytes of this process, with its flux map: an argument of the calls in
- * xla.cpp. */
+/* Bytes of a prepared observer with its flux map, valid in this process only: an argument of the
+ * calls in xla.cpp. */
 #ifndef FLUXOBS_PARAMETERS_H
 #define FLUXOBS_PARAMETERS_H
 
@@ -14,7 +14,7 @@ extern "C" {
 inline fo_observer &plain_of(fo_observer &observer) { return observer; }
 inline fo_observer &plain_of(fo_adaptive &observer) { return observer.plain; }
 
-/* The bytes are this struct and the coefficients of the map's table. */
+/* The bytes are this struct, then the coefficients of the map's table. */
 template <class Observer> class Parameters {
 public:
     static std::vector<char> bytes(const Observer &observer, const fo_map *map) {
@@ -34,7 +34,8 @@ public:
         return raw;
     }
 
-    /* Reads the bytes, which must outlive this. Returns false if they are not of this kind. */
+    /* Reads the bytes, which must outlive this object. Returns false if the bytes are of another
+     * kind. */
     bool load(const char *raw, std::size_t size) {
         std::memcpy(static_cast<void *>(this), raw, sizeof *this);
         if (size_ != sizeof *this || size < sizeof *this + table_bytes()) return false;

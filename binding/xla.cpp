@@ -65,7 +65,7 @@ bool answered_metadata(const CallFrame &frame) {
     for (Extension *e = frame.extension_start; e != nullptr; e = e->next) {
         if (e->type != METADATA) continue;
         Metadata &metadata = *reinterpret_cast<MetadataExtension *>(e)->metadata;
-        /* What is used here is in every minor version: XLA only appends to it. */
+        /* Every minor version has the functions used here: XLA only appends functions. */
         const bool known = frame.api != nullptr && frame.api->api_version.major_version == VERSION_MAJOR;
         const int minor = known ? frame.api->api_version.minor_version : VERSION_MINOR;
         metadata.api_version = {sizeof(Version), nullptr, VERSION_MAJOR, minor};

@@ -1,7 +1,8 @@
-/* The part of XLA's interface for custom calls that xla.cpp uses, declared from xla/ffi/api/c_api.h
- * of jaxlib 0.10 (version 0.3 of the interface; the same in 0.1, jaxlib 0.5). Fields are only
- * appended, and every struct states its size. tests/simulation/drive/test_loop_observer.py compares
- * these declarations with the header of the installed jaxlib. */
+/* Part of XLA's interface for custom calls that xla.cpp uses. The declarations are from
+ * xla/ffi/api/c_api.h of jaxlib 0.10 (version 0.3 of the interface); they are the same in version
+ * 0.1, jaxlib 0.5. XLA only appends fields, and every struct states its size.
+ * tests/simulation/drive/test_loop_observer.py compares these declarations with the header of the
+ * installed jaxlib. */
 #ifndef FLUXOBS_XLA_INTERFACE_H
 #define FLUXOBS_XLA_INTERFACE_H
 

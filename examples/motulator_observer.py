@@ -1,7 +1,7 @@
 """Observer for the closed loop of motulator, in place of motulator's sensorless observer.
 
 motulator (https://github.com/Aalto-Electric-Drives/motulator) simulates drives with converter and
-control. It must be version 0.18 or newer, which needs Python 3.12; install ``fluxobs[motulator]``.
+control. Version 0.18 or newer is required, which needs Python 3.12; install ``fluxobs[motulator]``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from motulator.drive.control.sm import (
 from fluxobs import AdaptiveObserver, FluxobsError, LeastSquaresObserver
 from fluxobs.machines import InteriorPMSM, RotatingMachine, SurfacePMSM, SynchronousReluctance
 
-#: Inductances are taken as equal if they differ by less than this share.
+#: Two inductances count as equal if they differ by less than this share.
 ROUND = 1e-6
 
 
@@ -29,7 +29,7 @@ def machine_of(par: SynchronousMachinePars, rated_current: float) -> RotatingMac
     Parameters
     ----------
     par : SynchronousMachinePars
-        With constant inductances.
+        Parameters with constant inductances.
     rated_current : float
         Peak of the phase current [A].
 
@@ -40,7 +40,7 @@ def machine_of(par: SynchronousMachinePars, rated_current: float) -> RotatingMac
     """
     if not isinstance(par, SynchronousMachinePars):
         raise FluxobsError(
-            f"{type(par).__name__}: its inductances are not constant; create an observer for a "
+            f"{type(par).__name__}: the inductances are not constant; create an observer for a "
             f"machine with a flux_map and pass it to place(…, observer=…)"
         )
     common: dict[str, Any] = {"R_s": par.R_s, "n_p": par.n_p, "rated_current": rated_current}
@@ -52,16 +52,17 @@ def machine_of(par: SynchronousMachinePars, rated_current: float) -> RotatingMac
 
 
 class FluxobsObserver(SpeedFluxObserver):  # type: ignore[misc]  # motulator is not typed
-    """motulator's observer with angle, speed and flux from a fluxobs observer while it is valid.
+    """motulator's observer, which uses angle, speed and flux of a fluxobs observer if valid.
 
-    Before that, and at standstill, motulator's observer continues from the last valid values.
+    If the fluxobs observer is not valid, as at standstill, motulator's observer continues from the
+    last valid values.
 
     Parameters
     ----------
     own : SpeedFluxObserver
-        The observer to replace.
+        motulator's observer, which is replaced.
     observer : LeastSquaresObserver or AdaptiveObserver
-        Its sample time must be that of the control.
+        Observer with the sample time of the control.
 
     Attributes
     ----------
@@ -76,7 +77,7 @@ class FluxobsObserver(SpeedFluxObserver):  # type: ignore[misc]  # motulator is 
         self.observer = observer
         self.estimate: Any = None
         self._state = observer.init()
-        self._applied: complex | None = None  # voltage of the period that ends at the next sample
+        self._applied: complex | None = None  # voltage until the next sample
 
     def compute_output(
         self,
@@ -85,7 +86,7 @@ class FluxobsObserver(SpeedFluxObserver):  # type: ignore[misc]  # motulator is 
         eps_ext: float = 0.0,
         h: float = 0.0,
     ) -> ObserverOutputs:
-        """Return motulator's outputs; `u_s_ab` is the voltage of the period that begins now."""
+        """Return motulator's outputs; `u_s_ab` is the voltage in the period that begins now."""
         ended = complex(nan, nan) if self._applied is None else self._applied
         self._applied = u_s_ab
         self._state, estimate = self.observer.step(
@@ -115,9 +116,9 @@ def place(
     controller : CurrentVectorController or FluxVectorController
         Sensorless controller of a synchronous machine.
     rated_current : float, optional
-        Peak of the phase current [A]; default: the controller's largest current.
+        Peak of the phase current [A]; by default the controller's largest current.
     unknowns : str
-        As for :func:`fluxobs.estimate`; used if no observer is given.
+        Unknowns, as for :func:`fluxobs.estimate`, if no observer is given.
     observer : LeastSquaresObserver or AdaptiveObserver, optional
         Observer with other settings; its sample time must be the controller's.
 

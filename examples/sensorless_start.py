@@ -1,4 +1,4 @@
-"""Sensorless drive: start at an unknown angle, load step, reversal; draws the result.
+"""Simulate a sensorless drive: start at an unknown angle, load step, reversal. Draw the result.
 
 python examples/sensorless_start.py [PICTURE]
 """
@@ -25,7 +25,7 @@ from fluxobs.simulation.drive import (
 )
 
 machine, rated = example("pmsm-2kw2"), rating("pmsm-2kw2")
-# The current sensors have offsets of a few percent and noise; the voltage has an offset too.
+# The current sensors have noise, and offsets of a few percent; the voltage has an offset too.
 drive = sensorless_drive(machine, rated, offset=(0.13, 0.18), noise=0.02)
 course = Course(
     speed=Profile([0.2, 0.9, 1.8, 2.6], rpm(np.array([0.0, 750.0, 750.0, -750.0]))),

@@ -62,7 +62,7 @@ static bool is_finite(const fo_real *x, int n)
     demand(&error, within(c->name, (fo_real)(least), (fo_real)(most)), FO_ERROR_RANGE, #name);
 
 #if FO_ISOTROPIC
-/* Is the matrix a number times the identity? */
+/* Is the matrix a multiple of the identity? */
 static bool is_scalar(fo_real aa, fo_real ab, fo_real ba, fo_real bb)
 {
     return !(fo_abs(ab) + fo_abs(ba) + fo_abs(aa - bb) > ZERO);
@@ -83,7 +83,7 @@ static field_error check_config(const fo_config *c)
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_POSITIVE)
     FO_CONFIG_FIELDS(PASSED_OVER, PASSED_OVER, PASSED_OVER, DEMAND_RANGE)
     demand(&error, c->R[0][0] >= ZERO && c->R[1][1] >= ZERO, FO_ERROR_RANGE, "R");
-    /* features that these sources leave out (fluxobs_real.h) */
+    /* features that fluxobs_real.h leaves out */
 #if FO_ISOTROPIC
     FO_CONFIG_FIELDS(DEMAND_IDENTITY, DEMAND_NOTHING, PASSED_OVER, PASSED_OVER_RANGE)
 #endif
@@ -93,8 +93,8 @@ static field_error check_config(const fo_config *c)
     return error;
 }
 
-/* Share of the prior that a re-injection gives back: what forgetting takes in a round, 1 -
- * rho^period. */
+/* Share of the prior that one re-injection restores: forgetting removes 1 - rho^period in a
+ * round. */
 static fo_real reinjection_share(fo_real rho)
 {
     fo_real kept = ONE;
@@ -116,7 +116,7 @@ static void set_tracker(fo_observer *o, fo_real pole)
 static void prepare(fo_observer *o, const fo_config *c)
 {
     const fo_real psi = c->flux_base;
-    const fo_real drift_base = psi / c->memory; /* time base: the memory */
+    const fo_real drift_base = psi / c->memory; /* the base of time is the memory */
     const fo_real drift_prior = c->drift_prior / drift_base;
     fo_real q2 = ZERO;
 
@@ -150,8 +150,8 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->over_noise = ONE / ((fo_real)(20 * FO_N) * c->current_noise * c->current_noise);
     o->square_min = c->length_min * c->length_min / (psi * psi);
     o->L_position = c->L_position / psi;
-    /* Current noise in x: directly through L, and through R as a random walk of the flux, which is
-     * followed with about a quarter of the memory. */
+    /* Noise of x due to current noise: it acts directly through L, and as a random walk of the flux
+     * through R. The least squares follows that walk with about a quarter of the memory. */
     fo_real walk = ZERO;
     for (int i = 0; i < FO_N; i++) {
         walk += c->R[i][i] / (fo_real)FO_N;
@@ -160,14 +160,14 @@ static void prepare(fo_observer *o, const fo_config *c)
     o->position_noise = (c->L_position * c->L_position + walk) * c->current_noise *
                         c->current_noise / (psi * psi);
 
-    /* Fading-memory filter of second order, triple pole z: no lag at constant acceleration.
-     * 1 / (1 + x + x^2/2) replaces exp(-x), so that the core needs no exp. */
+    /* Fading-memory filter of second order with a triple pole z: it has no lag at constant
+     * acceleration. 1 / (1 + x + x^2/2) replaces exp(-x), so that the core needs no exp. */
     const fo_real x = c->tracker_bandwidth * c->sample_time;
     set_tracker(o, ONE / (ONE + x + x * x / TWO));
 }
 
-/* Are the prepared numbers within the range of single precision? Limits are far beyond any
- * machine. */
+/* Are the prepared numbers within the range of single precision? The limits are far beyond those of
+ * any machine. */
 static field_error check_prepared(const fo_observer *o)
 {
     const fo_real low = (fo_real)1e-12, high = (fo_real)1e12;
@@ -239,7 +239,7 @@ static fo_real prior_information(const fo_state *s, int i)
 {
     fo_real information = i < KAPPA ? ONE : s->drift_prior;
     if (i == KAPPA) {
-        information /= (fo_real)4; /* kappa = 2 drift'Q1 flux: twice the drift's std */
+        information /= (fo_real)4; /* kappa = 2 drift'Q1 flux has twice the drift's std */
     }
     if (i == CC) {
         information *= information;
@@ -247,7 +247,7 @@ static fo_real prior_information(const fo_state *s, int i)
     return information;
 }
 
-/* Resets the information to the prior, and the power of the innovations to the assumed one. */
+/* Resets the information to the prior, and the power of the innovations to the assumed power. */
 static void reset_information(fo_state *s)
 {
     (void)memset(&s->info, 0, sizeof s->info);
@@ -283,13 +283,13 @@ void fo_reset(const fo_observer *o, fo_state *s)
 /* Zero if x is finite, else NaN. */
 static inline fo_real zero_if_finite(fo_real x) { return x - x; }
 
-/* Weights of a state are positive, its noises finite and no larger than the inputs allow. The
- * recursion would keep any other number, and the observer would stay invalid without a restart; the
- * rest of a state is replaced within a few samples. */
+/* Checks that the weights of a state are positive, and that its noises are finite and no larger
+ * than the inputs allow. The recursion would keep any other number, and the observer would stay
+ * invalid without a restart. The other numbers of a state are replaced within a few samples. */
 bool fo_damaged(const fo_observer *o, const fo_state *s)
 {
     bool damaged = s->noise_inflation == ZERO;
-    if (s->round_index == 1U) { /* also after a restart in the last step */
+    if (s->round_index == 1U) { /* this is also true after a restart in the last step */
         const fo_tracker *t = &s->tracker;
         fo_real sum = zero_if_finite(s->power) + zero_if_finite(s->lag_one) +
                       zero_if_finite(s->rotation) + zero_if_finite(t->angle) +
@@ -302,7 +302,7 @@ bool fo_damaged(const fo_observer *o, const fo_state *s)
         for (int i = 0; i < 3; i++) {
             sum += zero_if_finite(s->info.noise[i]);
         }
-        /* Largest third difference of currents; largest drift, with a widened prior. */
+        /* Largest third difference of currents, and largest drift with a widened prior. */
         const fo_real current_max = (fo_real)16 * o->current_limit;
         const fo_real drift = WIDEN * FLUX_STEP_LIMIT, least = s->drift_prior * drift * drift;
         damaged = damaged || sum != ZERO ||
@@ -313,7 +313,8 @@ bool fo_damaged(const fo_observer *o, const fo_state *s)
     return damaged;
 }
 
-/* Adds row'x = value, whose elements before `first` are zero. Returns the normalised innovation. */
+/* Adds row'x = value. Elements of row before `first` must be zero. Returns the normalised
+ * innovation. */
 static inline fo_real add_row(fo_information *info, fo_real row[FO_NX], fo_real value,
                                 fo_real information, int first)
 {
@@ -343,7 +344,7 @@ fo_real fo_add_row(fo_information *info, fo_real row[FO_NX], fo_real value, fo_r
 /* ---- measurement ---------------------------------------------------------------------- */
 
 #if FO_MAPPED
-/* v in the frame whose d axis is `direction`, turned to alpha, beta. */
+/* Turns v from the frame with d axis `direction` to alpha, beta. */
 static void rotate_vector(const fo_real v[FO_N], const fo_real direction[FO_N],
                           fo_real turned[FO_N]) {
     turned[0] = direction[0] * v[0] - direction[1] * v[1];
@@ -351,8 +352,8 @@ static void rotate_vector(const fo_real v[FO_N], const fo_real direction[FO_N],
 }
 
 /* Predicts a cage's rotor flux from i_d. Its magnetizing current follows d(magnetizing)/dt = (i_d -
- * magnetizing) R_R / L_M, and the flux is proportional to it. A current offset makes i_d ripple:
- * small differences have little weight. */
+ * magnetizing) R_R / L_M, and the flux is proportional to this current. Small differences have
+ * little weight, because a current offset makes i_d ripple. */
 static void predict_rotor_flux(const fo_observer *o, const fo_state *s, fo_real i_d,
                                fo_map_point *f) {
     const fo_map *map = o->map;
@@ -377,7 +378,7 @@ static void predict_rotor_flux(const fo_observer *o, const fo_state *s, fo_real 
     }
 }
 
-/* The current in the frame of a rotor in this direction. */
+/* The current in the frame of a rotor with this direction. */
 static void to_rotor_frame(const fo_real direction[FO_N], const fo_real current[FO_N],
                            fo_real i[FO_N]) {
     const fo_real back[FO_N] = {direction[0], -direction[1]};
@@ -393,8 +394,9 @@ void fo_linearise_map(const fo_observer *o, fo_real angle, const fo_real current
     fo_direction(angle, direction);
     to_rotor_frame(direction, current, i);
     fo_map_at(map, i, f->rotor_flux * o->flux_base, &answer);
-    /* The relation holds for any share of the auxiliary flux; half of it needs no angle where a
-     * machine is linear and has no magnets, all of it where it has no saliency. */
+    /* The relation holds for any share of the auxiliary flux. The share 1/2 needs no angle if the
+     * machine is linear and has no magnets; the share 1 needs no angle if the machine has no
+     * saliency. */
     const fo_real share = map->magnets ? ONE : ONE / TWO;
     const fo_real psi = map->psi * over;
     const fo_real a_d = answer.auxiliary[0] * over, a_q = answer.auxiliary[1] * over;
@@ -441,7 +443,7 @@ static void linearise_map(const fo_observer *o, fo_state *s)
 }
 #endif
 
-/* Measurement row 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise; with a map, 0 = s - 2
+/* Measurement row 0 = s + (Q2 i)'flux + i'Q3 i + C'i, divided by its noise. With a map: 0 = s - 2
  * centre'flux + |centre|^2 - square. Returns the right-hand side of row'x = rhs. */
 static fo_real measurement_row(const fo_observer *o, const fo_state *s, fo_real row[FO_NX])
 {
@@ -467,7 +469,7 @@ static fo_real measurement_row(const fo_observer *o, const fo_state *s, fo_real 
     return rhs;
 }
 
-/* Is the innovation against the prediction from the last estimate larger than any noise? */
+/* Is the innovation against a prediction from the last estimate larger than any noise? */
 static bool is_outlier(const fo_observer *o, const fo_state *s, const interval *t,
                         const fo_real row[FO_NX], fo_real rhs)
 {
@@ -483,8 +485,7 @@ static bool is_outlier(const fo_observer *o, const fo_state *s, const interval *
     return !(fo_abs(innovation) < OUTLIER_LIMIT * row[S]);
 }
 
-/* Measurement update by row'x = rhs; updates the power of the innovations and of the current
- * noise. */
+/* Measurement update by row'x = rhs. Updates the power of the innovations and the current noise. */
 static void update_measurement(const fo_observer *o, fo_state *s, fo_real row[FO_NX], fo_real rhs)
 {
     const fo_real e = add_row(&s->info, row, rhs, ONE, S);
@@ -503,7 +504,7 @@ static void update_measurement(const fo_observer *o, fo_state *s, fo_real row[FO
 
 /* ---- certainty ------------------------------------------------------------------------ */
 
-/* Position vector x = flux - L i; returns |x|^2. */
+/* Computes the position vector x = flux - L i; returns |x|^2. */
 static fo_real position_vector(const fo_observer *o, const fo_state *s, const fo_real flux[FO_N],
                         fo_real p[FO_N])
 {
@@ -513,7 +514,7 @@ static fo_real position_vector(const fo_observer *o, const fo_state *s, const fo
     return dot(p, p);
 }
 
-/* Scales all information by this factor, below one. */
+/* Multiplies all information by this factor, which is below one. */
 static void discount_information(fo_state *s, fo_real factor)
 {
     for (int i = 0; i < FO_NX; i++) {
@@ -524,29 +525,29 @@ static void discount_information(fo_state *s, fo_real factor)
     }
 }
 
-/* Widens a drift prior that proved too tight, and discounts the information gathered with it:
- * forgetting alone would remove its effect slowly. */
+/* Widens a drift prior that proved too tight. Discounts the information gathered with that prior,
+ * because forgetting alone would remove its effect slowly. */
 static void widen_drift_prior(fo_state *s, fo_real excess)
 {
     s->drift_prior /= WIDEN * excess;
     discount_information(s, DISTRUST / excess);
 }
 
-/* Updates the variance of the angle of the position vector p, and the share of the flux information
- * that is noise. */
+/* Updates the variance of the angle of the position vector p, and the share of noise in the flux
+ * information. */
 static void update_variances(fo_state *s, const fo_real p[FO_N], fo_real square)
 {
-    /* A drift prior that is too tight makes the covariance too small by this factor. */
+    /* A too tight drift prior makes the covariance too small by this factor. */
     const fo_real *drift = &s->x[DRIFT];
     const fo_real excess = dot(drift, drift) * s->drift_prior;
     const variances flux = flux_variances(&s->info, p);
     const fo_real across = flux.across / square, along = flux.along / square;
-    /* Information on the flux from noise alone, with the drift eliminated. */
+    /* Information on the flux from noise alone, after elimination of the drift. */
     const fo_real *noise = s->info.noise;
     const fo_real shared = noise[2] > ZERO ? noise[1] * noise[1] / noise[2] : ZERO;
     s->noise_share = (noise[0] - shared) * (across + along);
-    /* The variance scales with the correlation of the innovations, and with their power over the
-     * assumed one. */
+    /* The variance increases with the correlation of the innovations and with the ratio of their
+     * power to the assumed power. */
     const fo_real r = correlation(s->lag_one, s->power);
     s->inflation = s->power * (ONE + r) / (ONE - r);
     s->angle_variance = s->inflation * across / square;
@@ -558,7 +559,7 @@ static void update_variances(fo_state *s, const fo_real p[FO_N], fo_real square)
     }
 }
 
-/* Re-injects one row of the prior, centred on the estimate: it bounds the standard deviations and
+/* Re-injects one row of the prior, centred on the estimate. This bounds the standard deviations and
  * does not move the estimate. */
 static void reinject_prior(const fo_observer *o, fo_state *s, int i)
 {
@@ -570,8 +571,8 @@ static void reinject_prior(const fo_observer *o, fo_state *s, int i)
 
 /* Integrates the last trusted flux in open loop; returns the variance of its angle. The variance
  * grows with the uncertainty of the drift, with a voltage error of the drift's prior std, and with
- * the change in length of the position vector, which should be constant. Once the angle is unknown,
- * the flux stays. */
+ * changes of the position vector's length, which should be constant. When the angle has become
+ * unknown, the flux is no longer integrated. */
 static fo_real integrate_open_loop(const fo_observer *o, fo_state *s, const fo_real v[FO_N])
 {
     fo_real p[FO_N], flux[FO_N];
@@ -616,18 +617,18 @@ static fo_real integrate_open_loop(const fo_observer *o, fo_state *s, const fo_r
 typedef struct {
     const fo_real *flux, *drift;
     fo_real theta, square; /* angle and square of the position vector */
-    fo_real variance;      /* of the angle                            */
+    fo_real variance;      /* variance of the angle                   */
 } solution;
 
-/* Solves for the state; resets the information if the numbers have run away, as after a long
- * rest. */
+/* Solves for the state. Resets the information if the numbers have diverged, as after a long
+ * standstill. */
 static void solve_state(const fo_observer *o, fo_state *s, fo_real p[FO_N], solution *r)
 {
     solve(&s->info, s->x);
     r->flux = &s->x[FLUX];
     r->drift = &s->x[DRIFT];
     r->square = position_vector(o, s, r->flux, p);
-    if (!(r->square < RUNAWAY)) { /* or NaN */
+    if (!(r->square < RUNAWAY)) { /* also true for NaN */
         s->restarts++;
         reset_information(s);
         r->square = position_vector(o, s, r->flux, p);
@@ -635,7 +636,8 @@ static void solve_state(const fo_observer *o, fo_state *s, fo_real p[FO_N], solu
     r->theta = fo_atan2(p[1], p[0]);
 }
 
-/* The turn of this sample in its round: re-injects a row of the prior, or updates the variances. */
+/* Does the work of this sample in its round: re-injects a row of the prior, or updates the
+ * variances. */
 static void take_turn(const fo_observer *o, fo_state *s, const fo_real p[FO_N], fo_real square)
 {
     if ((s->round_index & 1U) == 0U) {
@@ -648,8 +650,9 @@ static void take_turn(const fo_observer *o, fo_state *s, const fo_real p[FO_N], 
     s->round_index = s->round_index + 1U < (uint32_t)REINJECT_PERIOD ? s->round_index + 1U : 0U;
 }
 
-/* Turn of the flux by a voltage error of the drift's prior std: it accumulates until the rotor has
- * turned by about a radian, and is bounded, so that a stop does not count for long after it. */
+/* Updates the turn of the flux by a voltage error as large as the drift's prior std. The turn
+ * accumulates until the rotor has turned by about a radian. The turn is bounded, so that a stop
+ * does not count for long afterwards. */
 static void update_voltage_turn(const fo_observer *o, fo_state *s)
 {
     const fo_real turned = fo_abs(s->tracker.speed) * o->sample_time;
@@ -657,8 +660,8 @@ static void update_voltage_turn(const fo_observer *o, fo_state *s)
     s->voltage_turn = s->voltage_turn < VOLTAGE_TURN_MAX ? s->voltage_turn : VOLTAGE_TURN_MAX;
 }
 
-/* Selects the flux to report: that of the least squares while it is trusted or nothing better is
- * known, else the last trusted one, integrated. See docs/theory.md, section 6. */
+/* Selects the flux to report: the flux of the least squares if it is trusted or no better flux is
+ * known, else the integral of the last trusted flux. See docs/theory.md, section 6. */
 static void select_flux(const fo_observer *o, fo_state *s, const fo_real v[FO_N], bool known,
                         bool trusted, solution *r)
 {
@@ -687,7 +690,7 @@ static void select_flux(const fo_observer *o, fo_state *s, const fo_real v[FO_N]
     }
 }
 
-/* Tracks the reported angle; with an unknown angle the tracker stops. */
+/* Tracks the reported angle. If the angle is unknown, the tracker stops. */
 static void track_solution(const fo_observer *o, fo_state *s, bool known, solution *r)
 {
     const bool lost = !(r->variance >= ZERO && r->variance < VARIANCE_UNKNOWN);
@@ -708,7 +711,7 @@ static void finish_map(const fo_observer *o, fo_state *s, bool trusted)
 {
     if (has_map(o)) {
         if (trusted && !s->trusted) {
-            discount_information(s, DISTRUST); /* its rows were linearised at wrong angles */
+            discount_information(s, DISTRUST); /* earlier rows were linearised at wrong angles */
         }
         s->previous_point = s->map_point;
         s->outside += trusted && s->map_point.outside ? 1U : 0U;
@@ -716,7 +719,7 @@ static void finish_map(const fo_observer *o, fo_state *s, bool trusted)
 }
 #endif
 
-/* Writes the estimate; the tracker has settled or not. */
+/* Writes the estimate of a sample, and whether its position is valid. */
 static void write_estimate(const fo_observer *o, const fo_state *s, const solution *r,
                            fo_estimate *e)
 {
@@ -730,18 +733,18 @@ static void write_estimate(const fo_observer *o, const fo_state *s, const soluti
     e->speed_e = s->tracker.speed;
     e->innovation = s->innovation;
     e->noise_share = s->noise_share;
-    /* The slow turn by a voltage error of plausible size does not show in the innovations. */
+    /* The innovations do not show the slow turn by a voltage error of plausible size. */
     e->valid = s->trusted && s->tracker.settled >= TRACKER_SETTLED &&
                r->variance < STD_LIMIT * STD_LIMIT && s->voltage_turn < VOLTAGE_LIMIT * s->length;
 #if FO_MAPPED
-    if (has_map(o)) { /* it was linearised where the tracker predicted the rotor */
+    if (has_map(o)) { /* the map was linearised at the tracker's predicted angle */
         const bool near = fo_abs(wrap(r->theta - s->tracker.angle)) < STD_LIMIT;
         e->valid = e->valid && near && !s->map_point.outside;
     }
 #endif
 }
 
-/* The estimate after a sample, whose volt-seconds are v. */
+/* Makes the estimate after a sample with the volt-seconds v. */
 static void finish_estimate(const fo_observer *o, fo_state *s, const fo_real v[FO_N],
                             fo_estimate *e) {
     fo_real p[FO_N];
@@ -771,7 +774,7 @@ static void finish_estimate(const fo_observer *o, fo_state *s, const fo_real v[F
 
 /* ---- samples -------------------------------------------------------------------------- */
 
-/* Integrates the last interval: subtracts the resistive drop, unless the volt-seconds are
+/* Integrates the last interval. Subtracts the resistive drop, unless the volt-seconds are
  * `complete`. */
 static void integrate_interval(const fo_observer *o, const fo_state *s, bool complete, interval *t)
 {
@@ -789,7 +792,7 @@ static void integrate_interval(const fo_observer *o, const fo_state *s, bool com
     t->input = add_linear(dot(t->q, t->v) / TWO, dot(o->E, t->v));
 }
 
-/* Length of the step of the position vector over the interval; the drift is negligible. */
+/* Length of the position vector's step over the interval; the drift is negligible. */
 static fo_real position_step_length(const fo_observer *o, const fo_state *s, const fo_real v[FO_N])
 {
     fo_real step[FO_N];
@@ -804,14 +807,14 @@ static fo_real position_step_length(const fo_observer *o, const fo_state *s, con
     return fo_sqrt(dot(step, step));
 }
 
-/* Is that step longer than motion and noise explain? */
+/* Is the position vector's step longer than motion and noise explain? */
 static bool position_jumps(const fo_observer *o, const fo_state *s, fo_real step)
 {
     return step > TWO * s->step + STEP_LIMIT * s->length +
                       STEP_NOISE * fo_sqrt(o->position_noise * s->noise_inflation);
 }
 
-/* Measurement row of the newest current, with the map linearised there. */
+/* Measurement row of the newest current; a map is linearised at that current. */
 static fo_real row_of_newest_current(const fo_observer *o, fo_state *s, fo_real row[FO_NX])
 {
 #if FO_MAPPED
@@ -830,8 +833,8 @@ static void push_current(fo_state *s, fo_real i0, fo_real i1)
     s->current[0][1] = i1;
 }
 
-/* Predicts a missing vector: it turns with the rotor, if the rotor is known, by the angle whose
- * half has the tangent speed * sample_time / 2. */
+/* Predicts a missing vector. If the rotor's speed is known, the vector turns with the rotor:
+ * tan(angle / 2) = speed * sample_time / 2. */
 static void extrapolate(const fo_observer *o, const fo_state *s, const fo_real before[FO_N],
                   fo_real now[FO_N])
 {
@@ -854,8 +857,8 @@ static sample_quality classify(const fo_real x[FO_N], fo_real limit)
     return quality;
 }
 
-/* Processes one sample; `source` in per-unit volt-seconds, `complete` or without the resistive
- * drop. */
+/* Processes one sample. `source` is in per-unit volt-seconds, either `complete` or still without
+ * the resistive drop. */
 static void process_sample(const fo_observer *o, fo_state *s, const fo_real source[FO_N],
                            bool complete, const fo_real current[FO_N], fo_estimate *e) {
     interval t = {{ZERO, ZERO}, {ZERO, ZERO}, ZERO};
@@ -902,7 +905,7 @@ static void process_sample(const fo_observer *o, fo_state *s, const fo_real sour
             const fo_real step = position_step_length(o, s, t.v);
             if (measured && s->trusted &&
                 (position_jumps(o, s, step) || is_outlier(o, s, &t, row, rhs))) {
-                s->outliers++; /* treat it as missing */
+                s->outliers++; /* treat this current as missing */
                 measured = false;
                 bad = true;
                 extrapolate(o, s, s->current[1], s->current[0]);
@@ -929,9 +932,9 @@ static void process_sample(const fo_observer *o, fo_state *s, const fo_real sour
 }
 
 #if FO_HELD
-/* A voltage that is held over the sample steps between samples, and each step puts a kink into the
- * current. The cubic through the current samples misses it: subtracts its part of the resistive
- * drop. */
+/* A voltage that is held over the sample changes in steps, and each step puts a kink into the
+ * current. The cubic through the current samples misses the kink: this subtracts the kink's part of
+ * the resistive drop. */
 static void subtract_kinks(const fo_observer *o, fo_state *s, fo_real source[FO_N])
 {
     const bool good = classify(source, FLUX_STEP_LIMIT) == GOOD;
@@ -973,7 +976,8 @@ void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_rea
                const fo_real current[FO_N])
 {
     const fo_real scale = share * o->flux_base;
-    fo_real mean[FO_N]; /* 24 times the mean current, by the trapezoid rule: intervals are short */
+    fo_real mean[FO_N]; /* 24 times the mean current by the trapezoid rule, as intervals are
+                         * short */
     for (int i = 0; i < FO_N; i++) {
         mean[i] = (fo_real)12 * (g->current[i] + current[i]);
         g->current[i] = current[i];
@@ -983,12 +987,12 @@ void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_rea
     }
 }
 
-/* The observer with this sample time [s], which must be plausible. */
+/* Returns the observer for this sample time [s], which must be plausible. */
 static void scale_to_duration(const fo_observer *o, fo_real duration, fo_observer *scaled)
 {
     const fo_real ratio = duration / o->sample_time;
-    /* The tracker's pole p, from its gains: 1.5 h track[2] / track[1] = (1 - p) / (1 + p). Its
-     * bandwidth stays: 1/p - 1 is proportional to the duration, to first order. */
+    /* The tracker's pole p follows from its gains: 1.5 h track[2] / track[1] = (1 - p) / (1 + p).
+     * The bandwidth stays the same: 1/p - 1 is proportional to the duration, to first order. */
     const fo_real q = (fo_real)1.5 * o->sample_time * o->track[2] / o->track[1];
     const fo_real over = TWO * q / (ONE - q); /* 1/p - 1 */
     *scaled = *o;

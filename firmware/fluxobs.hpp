@@ -1,11 +1,11 @@
-/* fluxobs for C++11 and later: no exceptions, no heap, no virtual functions. Everything is in the C
- * sources; this only joins an observer with its state.
+/* fluxobs for C++11 and later: no exceptions, no heap, no virtual functions. All algorithms are in
+ * the C sources; this class only joins an observer with its state.
  *
  *     fluxobs::Observer<fo_observer> motor(motor_observer);       // an export's parameters
  *     const fo_estimate &now = motor.step({u_alpha, u_beta}, {i_alpha, i_beta});
  *     if (now.valid) { ... now.theta_e_tracked, now.speed_e ... }
  *
- * With the adaptive observer: Observer<fo_adaptive>; position() is what both have.
+ * The adaptive observer is Observer<fo_adaptive>. Both observers have position().
  *
  * SPDX-License-Identifier: MIT
  */
@@ -67,7 +67,8 @@ template <> struct Kind<fo_adaptive> {
 
 }  // namespace detail
 
-/* One motor's observer. `Parameters` is fo_observer or fo_adaptive; they have to outlive it. */
+/* One motor's observer. `Parameters` is fo_observer or fo_adaptive. The parameters must outlive the
+ * observer. */
 template <class Parameters> class Observer {
     using Kind = detail::Kind<Parameters>;
 
@@ -77,26 +78,27 @@ public:
 
     explicit Observer(const Parameters &parameters) noexcept : parameters_(&parameters) { reset(); }
 
-    /* Nothing is known, all counters are 0. */
+    /* Resets the state: nothing is known, and all counters are 0. */
     void reset() noexcept {
         Kind::reset(*parameters_, state_);
         estimate_ = Estimate();
     }
 
-    /* Starts at a known angle, at the present current [A]. */
+    /* Starts at a known angle and the present current [A]. */
     void seed(const fo_seed &at, Vector current) noexcept {
         const fo_real i[FO_N] = {current.alpha, current.beta};
         Kind::seed(*parameters_, state_, at, i);
     }
 
-    /* Mean voltage over the interval that ends now [V], NaN if unknown; current now [A]. */
+    /* Processes one sample: the voltage is the mean over the interval that ends now [V], NaN if
+     * unknown; the current is measured now [A]. */
     const Estimate &step(Vector voltage, Vector current) noexcept {
         const fo_real u[FO_N] = {voltage.alpha, voltage.beta}, i[FO_N] = {current.alpha, current.beta};
         Kind::step(*parameters_, state_, u, i, estimate_);
         return estimate_;
     }
 
-    /* The same, for an interval of this duration [s]. */
+    /* Like step above, for an interval of this duration [s]. */
     const Estimate &step(fo_real duration, Vector voltage, Vector current) noexcept {
         const fo_real u[FO_N] = {voltage.alpha, voltage.beta}, i[FO_N] = {current.alpha, current.beta};
         Kind::step_for(*parameters_, state_, duration, u, i, estimate_);
@@ -105,7 +107,7 @@ public:
 
     const Estimate &estimate() const noexcept { return estimate_; }
 
-    /* What both kinds of observers estimate: flux, angle, speed, drift, valid. */
+    /* Estimates that both kinds of observers have: flux, angle, speed, drift, valid. */
     const fo_estimate &position() const noexcept { return Kind::position(estimate_); }
 
     /* Counters of bad samples and restarts: bad_voltages, bad_currents, absurd, outliers, restarts. */
@@ -113,7 +115,7 @@ public:
 
     State &state() noexcept { return state_; }
 
-    /* Another parameter set in the same units, as fo_take gives it; the state is kept. */
+    /* Replaces the parameters by others in the same units, as fo_take does; keeps the state. */
     void use(const Parameters &parameters) noexcept { parameters_ = &parameters; }
 
 private:

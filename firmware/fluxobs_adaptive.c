@@ -6,37 +6,39 @@
 
 #include <string.h>
 
-/* ---- thresholds: unit, reason, and what fixed them --------------------------------------- */
+/* ---- thresholds: unit, reason, and what determined their value ----------------------------- */
 
-/* The inverter's loss is modelled by two soft signs that saturate at these multiples of the given
- * current: with both and a resistance, any curve is met to within a few percent of the loss [1]. */
+/* The inverter's loss is modelled by two soft signs. They saturate at these multiples of the given
+ * current: two signs and a resistance fit any curve to within a few percent of the loss [1]. */
 static const fo_real HARD = (fo_real)0.2;
 static const fo_real SOFT = (fo_real)1.2;
-/* The curve, a considered parameter: i (1 - |i| / I) with I this multiple of the given current,
- * which is rated current by default [1] ... */
+/* Scale I of the curve, a considered parameter: i (1 - |i| / I). I is this multiple of the given
+ * current, by default rated current [1]. */
 static const fo_real RATED = (fo_real)20;
-/* ... and its std, relative to the loss [1]: at most a quarter of it, 4 % of the loss. */
+/* Std of the curve relative to the loss [1]. The curve is at most a quarter of it, which is 4 % of
+ * the loss. */
 static const fo_real CURVE_STD = (fo_real)0.15;
-/* Voltage error that no parameter describes, relative to the drift's prior std [1]: it limits for
- * how long the filter trusts the voltage. */
+/* Voltage error outside the model, relative to the drift's prior std [1]. This error limits how
+ * long the filter trusts the voltage. */
 static const fo_real UNMODELLED = (fo_real)0.1;
-/* The same for a valid position [1]: the slow turn that it makes does not show in the residual. */
+/* Voltage error outside the model while a position is valid [1]: the residual does not show the
+ * slow turn that this error causes. */
 static const fo_real VOLTAGE_TURN = (fo_real)0.05;
-/* Std of the angle above which the linearisation fails: 30 degrees [rad]. */
+/* Std of the angle above which the linearisation fails [rad]: 30 degrees. */
 static const fo_real STD_LOST = PI / (fo_real)6;
-/* Std of a valid angle, errors of inductance and lag included: 10 degrees [rad]. */
+/* Std of a valid angle, including errors of inductance and lag [rad]: 10 degrees. */
 static const fo_real STD_ALL = PI / (fo_real)18;
-/* Rows of the filter before its position is valid, and before its std may stop it [1]. */
+/* Rows of the filter before its position may be valid, and before its std may stop it [1]. */
 static const fo_real PROVEN_AFTER = (fo_real)4;
 static const fo_real LOST_AFTER = (fo_real)2;
-/* If the filter loses the position within this many rows, two turns, its parameters are reset
+/* If the filter loses the position within this many rows (two turns), its parameters are reset
  * [1]. */
 static const fo_real EARLY_ROWS = (fo_real)16;
-/* The filter is wrong if the power of its innovations exceeds this [1], ten stds, ... */
+/* The filter is wrong if the power of its innovations exceeds this limit [1]: ten stds. */
 static const fo_real INNOVATION_POWER_MAX = (fo_real)100;
-/* ... if a parameter is this many stds from its prior [1], ... */
+/* The filter is wrong if a parameter is this many stds from its prior [1]. */
 static const fo_real PARAMETER_STDS_MAX = (fo_real)4;
-/* ... or if it differs from its guard by 20 degrees for a turn [rad, rad]. */
+/* The filter is wrong if its angle differs from the guard's by 20 degrees for a turn [rad, rad]. */
 static const fo_real DISAGREEMENT = PI / (fo_real)9;
 static const fo_real DISAGREEMENT_TURN = TWO * PI;
 
@@ -151,7 +153,7 @@ void fo_adaptive_restart(const fo_adaptive *a, fo_adaptive_state *s, bool frozen
 
 /* ---- the inverter --------------------------------------------------------------------- */
 
-/* tanh(x) to within 0.0014: its Pade approximant, clipped where it reaches 1. */
+/* tanh(x) to within 0.0014 by its Pade approximant, clipped where the approximant reaches 1. */
 static fo_real soft_sign(fo_real x)
 {
     const fo_real square = x * x;
@@ -163,9 +165,9 @@ static fo_real soft_sign(fo_real x)
     return sign;
 }
 
-/* Amplitude-invariant vector of the soft signs of the phase currents. Adds its derivative by the
- * current (alpha alpha, alpha beta, beta beta) times `volts` to `gradient`. Returns how soft the
- * signs are, 0 to 1. */
+/* Computes the amplitude-invariant vector of the soft signs of the phase currents. Adds the
+ * vector's derivative by the current (alpha alpha, alpha beta, beta beta) times `volts` to
+ * `gradient`. Returns the softness of the signs, 0 to 1. */
 static fo_real soft_signs(const fo_real current[FO_N], fo_real over, fo_real volts,
                       fo_real signs[FO_N], fo_real gradient[3])
 {
@@ -185,14 +187,15 @@ static fo_real soft_signs(const fo_real current[FO_N], fo_real over, fo_real vol
            (phases[0] * phases[0] + phases[1] * phases[1] + phases[2] * phases[2]) / (fo_real)3;
 }
 
-/* Estimated voltage of a part of the inverter's loss [V]. */
+/* Estimated voltage of one part of the inverter's loss [V]. */
 static fo_real inverter_loss_part(const fo_adaptive *a, const fo_adaptive_state *s, int n)
 {
     return a->inverter_mean + fo_learning_value(a, s, FO_INVERTER + n);
 }
 
-/* Voltage lost in the interval that ends with this current, beyond the assumed resistance, by the
- * estimates of resistance error and inverter; the asymmetry is not included. Stores the signs. */
+/* Voltage lost in the interval that ends with this current, in addition to the assumed resistance's
+ * drop. The estimates of resistance error and inverter loss determine it; the asymmetry is not
+ * included. Stores the signs. */
 static void predicted_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_real current[FO_N],
                        fo_real loss[FO_N])
 {
@@ -207,7 +210,7 @@ static void predicted_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_
         }
     }
     if (!(dot(mean, mean) <= a->plain.current_limit * a->plain.current_limit)) {
-        mean[0] = q->current[0][0]; /* not finite, or absurd */
+        mean[0] = q->current[0][0]; /* the current is not finite, or absurd */
         mean[1] = q->current[0][1];
     }
     for (int i = 0; i < FO_N; i++) {
@@ -242,7 +245,7 @@ static void correct_asymmetry(const fo_adaptive *a, const fo_adaptive_state *s,
 #endif
 }
 
-/* Volt-seconds of the last interval, and their sensitivity to one prior std of each parameter. */
+/* Volt-seconds of the last interval, and their change with one prior std of each parameter. */
 static void integrate_interval(const fo_adaptive *a, const fo_adaptive_state *s, bool complete,
                       fo_interval *t)
 {
@@ -295,7 +298,7 @@ static void stop_filter(const fo_adaptive *a, fo_adaptive_state *s, bool wrong)
     fo_candidates_place(a, s);
 }
 
-/* Std of an angle with this variance: at most that of an unknown one. */
+/* Std of an angle with this variance: at most the std of an unknown angle. */
 static fo_real capped_std(fo_real variance)
 {
     return fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
@@ -312,9 +315,9 @@ static void write_parameters(const fo_adaptive *a, const fo_adaptive_state *s,
     e->inverter_std = s->reported_std[2];
 }
 
-/* Writes the filter's estimate: its position vector has this length, its angle this variance;
- * `fixed` is the variance by errors that a measurement does not reduce: of L_q, of the lag, of a
- * cage's ripple. */
+/* Writes the filter's estimate, with this length of the position vector and this variance of the
+ * angle. `fixed` is the variance due to errors that measurements do not reduce: of L_q, of the lag,
+ * of a cage's ripple. */
 static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length,
                    fo_real variance, fo_real fixed, fo_adaptive_estimate *e)
 {
@@ -329,7 +332,7 @@ static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state 
     q->theta_e = s->theta;
     q->theta_e_tracked = s->tracker.angle;
     q->speed_e = s->tracker.speed;
-    /* the turn by an unmodelled voltage is a bound: its std is a root of three smaller */
+    /* the turn by an unmodelled voltage is a bound: its std is sqrt(3) smaller */
     q->theta_e_std = capped_std(all - TWO / (fo_real)3 * s->voltage_turn * s->voltage_turn);
     q->noise_share = ZERO;
     q->valid = s->rows > PROVEN_AFTER && s->tracker.settled >= TRACKER_SETTLED &&
@@ -358,8 +361,8 @@ static bool is_finite_estimate(const fo_adaptive_estimate *e)
     return sum - sum == ZERO;
 }
 
-/* The plain observer's position; its std does not include the parameters, so their part is
- * added. */
+/* Writes the plain observer's position. The plain observer's std does not include the parameters,
+ * so their part is added. */
 static void use_plain_estimate(const fo_adaptive_state *s, const fo_estimate *plain,
                         fo_adaptive_estimate *e)
 {
@@ -370,7 +373,7 @@ static void use_plain_estimate(const fo_adaptive_state *s, const fo_estimate *pl
     q->valid = plain->valid && q->theta_e_std < STD_LIMIT;
 }
 
-/* Writes the estimate after a step of the filter; returns the variance of its angle without errors
+/* Writes the estimate after a step of the filter. Returns the variance of its angle without errors
  * of inductance and lag. */
 static fo_real report_step(const fo_adaptive *a, fo_adaptive_state *s, fo_real length,
                            fo_real step, fo_adaptive_estimate *e)
@@ -402,7 +405,8 @@ static bool is_wrong(const fo_adaptive_state *s)
            fo_abs(s->p[FO_INDUCTANCE + 1]) > PARAMETER_STDS_MAX;
 }
 
-/* A sample while the filter runs; `e` holds the estimate of the plain observer, its guard. */
+/* Processes a sample while the filter runs. `e` holds the estimate of the plain observer, the
+ * filter's guard. */
 static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
                        bool measured, fo_adaptive_estimate *e)
 {
@@ -426,7 +430,7 @@ static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_inte
         } else if (guarded && !(s->rows > PROVEN_AFTER)) {
             use_plain_estimate(s, &plain.position, e);
         } else {
-            /* the filter's own position */
+            /* report the filter's own position */
         }
         const bool wrong = !is_finite || is_wrong(s);
         const bool lost = s->emf_ratio > ONE ||
@@ -443,7 +447,8 @@ static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_inte
 
 /* ---- the start ------------------------------------------------------------------------ */
 
-/* Writes the best candidate's position; its variance includes the weight of the second best. */
+/* Writes the best candidate's position. The variance includes the weight of the second best
+ * candidate. */
 static void write_candidate(const fo_adaptive *a, const fo_adaptive_state *s,
                             const fo_choice *choice, fo_estimate *q)
 {
@@ -462,8 +467,8 @@ static void write_candidate(const fo_adaptive *a, const fo_adaptive_state *s,
     q->valid = false;
 }
 
-/* Fits the candidates; starts the filter at the best once it is decided and has turned far
- * enough. */
+/* Fits the candidates. Starts the filter at the best candidate once the choice is decided and the
+ * rotor has turned far enough. */
 static void start_from_candidates(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
                                   fo_adaptive_estimate *e)
 {
@@ -483,7 +488,7 @@ static void start_from_candidates(const fo_adaptive *a, fo_adaptive_state *s, co
     } else if (choice.has_best && !s->seeded) {
         write_candidate(a, s, &choice, q);
     } else {
-        /* the estimate stays that of the plain observer */
+        /* the estimate is still that of the plain observer */
     }
     s->rotation = likely ? s->rotation + wrap(choice.best.theta - s->theta) : ZERO;
     s->theta = choice.has_best ? choice.best.theta : s->theta;
@@ -510,7 +515,7 @@ static void start_from_plain(const fo_adaptive *a, fo_adaptive_state *s, const f
     }
 }
 
-/* A sample before the filter runs. */
+/* Processes a sample before the filter runs. */
 static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
                       fo_adaptive_estimate *e)
 {
@@ -522,7 +527,7 @@ static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_inter
     } else if (s->plain.trusted && s->emf_ratio < EMF_RATIO_LIMIT) {
         start_from_plain(a, s, t);
     } else {
-        /* it waits for the plain observer */
+        /* wait for the plain observer */
     }
 }
 
@@ -538,7 +543,7 @@ static bad_samples count_bad_samples(const fo_state *q)
     return count;
 }
 
-/* The rest of a sample, after the plain observer's step. */
+/* The work of a sample after the plain observer's step. */
 static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool complete,
                           bad_samples before, fo_adaptive_estimate *e) {
     const bad_samples now = count_bad_samples(&s->plain);
@@ -564,15 +569,15 @@ static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool compl
         s->emf_ratio = TWO;
     }
     s->sample_index++;
-    if (!e->adapting || !s->running) { /* else run_filter has written them */
+    if (!e->adapting || !s->running) { /* otherwise run_filter has written them */
         write_parameters(a, s, e);
     }
     e->position.valid = e->position.valid && measured && now.voltages == before.voltages;
 }
 
-/* Chooses the angle at which the plain observer linearises the map: the filter's while it runs and
- * the plain observer has no position; else its own, since a guard must not depend on what it
- * guards. */
+/* Chooses the angle at which the plain observer linearises the map. The filter's angle is used if
+ * the filter runs and the plain observer has no position. Otherwise the plain observer uses its own
+ * angle, since a guard must not depend on the filter that it guards. */
 static void set_map_angle(const fo_adaptive *a, fo_adaptive_state *s)
 {
 #if FO_MAPPED

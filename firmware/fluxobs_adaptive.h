@@ -1,12 +1,13 @@
-/* fluxobs, the adaptive observer: starts within a fraction of a turn at an unknown angle; learns
+/* fluxobs, the adaptive observer: starts within a fraction of a turn at an unknown angle. It learns
  * magnet flux, resistance, the inverter's voltage loss, current offsets and an asymmetry of the
- * phases; models saliency; and says what is not known yet.
+ * phases. It models saliency, and reports what is still unknown.
  *
- * The observer of fluxobs.h runs inside, on volt-seconds corrected by what has been learnt. It is
- * start and guard. Two time scales in one triangle: a fast filter on (flux, drift), and below it
- * the parameters, which see only what the fast filter leaves (docs/theory.md, section 13).
+ * The observer of fluxobs.h runs inside, as start and guard; its volt-seconds are corrected by the
+ * learnt parameters. One information factor has two time scales: a fast filter on (flux, drift),
+ * and the parameters, which are updated by the part of a row that the fast filter does not explain
+ * (docs/theory.md, section 13).
  *
- * For machines with Q1 = 1, E = 0: |flux - L i| = psi_f + saliency i_d.
+ * Machines must have Q1 = 1 and E = 0: |flux - L i| = psi_f + saliency i_d.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -43,8 +44,9 @@ extern "C" {
 #define fo_adaptive_learnt FO_NAME(fo_adaptive_learnt)
 #define fo_adaptive_restart FO_NAME(fo_adaptive_restart)
 
-/* Order of the parameters. The inverter's loss is a sum of two: one grows within small currents,
- * one within larger ones. The last is never learnt: what the loss may differ from that sum. */
+/* Order of the parameters. The inverter's loss is the sum of two parameters: one grows within small
+ * currents, the other within larger currents. The last parameter, the difference between the true
+ * loss and that sum, is never learnt. */
 enum {
     FO_PSI,
     FO_RESISTANCE,
@@ -57,42 +59,42 @@ enum {
 #else
     FO_CURVE = FO_ASYMMETRY,
 #endif
-    FO_NP,                 /* how many                                             */
-    FO_NF = 2 * FO_N,      /* the fast filter: flux, drift                         */
-    FO_NA = FO_NF + FO_NP, /* order of the triangle: fast filter, then parameters  */
-    FO_NM = 2 * FO_N + 1,  /* the manifold: flux, drift, square of the magnet flux */
-    FO_CANDIDATES = 4      /* positions followed at the start                      */
+    FO_NP,                 /* number of parameters                                 */
+    FO_NF = 2 * FO_N,      /* order of the fast filter: flux, drift                */
+    FO_NA = FO_NF + FO_NP, /* order of the factor: fast filter, then parameters    */
+    FO_NM = 2 * FO_N + 1,  /* manifold: flux, drift, square of the magnet flux     */
+    FO_CANDIDATES = 4      /* positions at the start of the fit                    */
 };
 
-/* When the information is projected on the manifold. */
+/* Choice of the time when the information is projected on the manifold. */
 typedef enum {
     FO_PROJECT_NEVER, /* the start waits for the plain observer's position */
-    FO_PROJECT_START  /* until the position is known                       */
+    FO_PROJECT_START  /* projection until the position is known            */
 } fo_projection;
 
-/* Assumed values of machine and inverter, and their standard deviations, 0 if known; then when the
- * information is projected. */
+/* Assumed values of machine and inverter with their standard deviations (0 if a value is known),
+ * and the time of the projection. */
 #define FO_ADAPTIVE_CONFIG_FIELDS(NUMBER)                                                        \
     NUMBER(saliency)         /* L_d - L_position [H]                                          */ \
-    NUMBER(L_d_std)          /* std of the inductance along d, a share of it [1], ...         */ \
-    NUMBER(L_q_std)          /* ... and of that along q                                       */ \
-    NUMBER(lag_std)          /* std of the time by which a voltage comes late [s]             */ \
-    NUMBER(psi_f)            /* magnet flux [Wb]; 0 without magnets, ...                      */ \
-    NUMBER(psi_f_std)        /* ... and its std, 0 too                                        */ \
+    NUMBER(L_d_std)          /* std of the inductance along d, as a share of it [1]           */ \
+    NUMBER(L_q_std)          /* std of the inductance along q, as a share of it [1]           */ \
+    NUMBER(lag_std)          /* std of the delay of a voltage [s]                             */ \
+    NUMBER(psi_f)            /* magnet flux [Wb]; 0 without magnets                           */ \
+    NUMBER(psi_f_std)        /* std of the magnet flux [Wb]; 0 without magnets                */ \
     NUMBER(resistance_std)   /* std of the resistance [Ohm]                                   */ \
     NUMBER(inverter_voltage) /* dead time and device drops of a phase [V]                     */ \
-    NUMBER(inverter_std)     /* std of that [V]                                               */ \
-    NUMBER(inverter_current) /* the sign of a phase current i is tanh(i / this), nearly [A]   */ \
+    NUMBER(inverter_std)     /* std of inverter_voltage [V]                                   */ \
+    NUMBER(inverter_current) /* the sign of a phase current i is nearly tanh(i / this) [A]    */ \
     NUMBER(offset_std)       /* std of the offset of a current component [A]                  */ \
-    NUMBER(asymmetry_std)    /* std of g, both components, in u' = u + g conj(u) [1]          */ \
-    NUMBER(slow_memory)      /* time in which a parameter may change by one std [s]           */
+    NUMBER(asymmetry_std)    /* std of both components of g in u' = u + g conj(u) [1]         */ \
+    NUMBER(slow_memory)      /* time in which a parameter may change by one std [s] */
 
 typedef struct {
     FO_ADAPTIVE_CONFIG_FIELDS(FO_NUMBER_FIELD)
     fo_projection projection;
 } fo_adaptive_config;
 
-/* The fields after the plain observer; treat them as opaque. Per-unit unless stated. */
+/* The fields after the plain observer; treat them as opaque. They are per-unit unless stated. */
 #define FO_ADAPTIVE_FIELDS(ARRAY, NUMBER)                                                        \
     NUMBER(saliency, "L_d - L_q, per ampere")                                                    \
     NUMBER(psi, "assumed magnet flux")                                                           \
@@ -118,93 +120,92 @@ typedef struct {
 typedef struct {
     fo_real p[FO_NM];        /* flux, drift, square of the magnet flux           */
     fo_real cost;            /* misfit to the information                        */
-    fo_real predicted_cost;  /* the same after the next Gauss-Newton step        */
-    fo_real variance;        /* of its angle [rad^2]                             */
+    fo_real predicted_cost;  /* misfit after the next Gauss-Newton step          */
+    fo_real variance;        /* variance of the angle [rad^2]                    */
     fo_real theta;           /* angle after its last step [rad]                  */
     uint32_t age;            /* steps since it was placed                        */
 } fo_candidate;
 
-/* Sums over the samples since the last measurement row of the filter. */
+/* Sums over the samples since the filter's last measurement row. */
 typedef struct {
     uint32_t samples;
     fo_real time;                     /* [memories]                                         */
     fo_real theta;                    /* angle at its start [rad]                           */
-    fo_real sensitivity[FO_NP][FO_N]; /* of the flux to each parameter                      */
-    fo_real unmodelled;               /* voltage error outside the model, integrated        */
-    fo_real residual;                 /* |x| - saliency i_d - psi_f, summed                 */
-    fo_real by_flux[FO_N];            /* its derivative by the flux, summed, ...            */
-    fo_real by_flux_time[FO_N];       /* ... and times the time                             */
-    fo_real by_parameter[FO_NP];      /* its derivative by each parameter, summed           */
+    fo_real sensitivity[FO_NP][FO_N]; /* sensitivity of the flux to each parameter          */
+    fo_real unmodelled;               /* integral of the voltage error outside the model    */
+    fo_real residual;                 /* sum of the residual |x| - saliency i_d - psi_f     */
+    fo_real by_flux[FO_N];            /* sum of the residual's derivatives by the flux      */
+    fo_real by_flux_time[FO_N];       /* sum of derivatives by the flux, times the time     */
+    fo_real by_parameter[FO_NP];      /* sum of the residual's derivatives by parameters    */
 } fo_block;
 
-/* Everything that changes. Plain data: copy it, store it, restore it. */
+/* State of the adaptive observer: everything that changes. The state is plain data that may be
+ * copied, stored and restored. */
 typedef struct {
     fo_state plain;
-    bool running;                        /* the filter; else candidates are fitted          */
+    bool running;                        /* the filter runs; else candidates are fitted     */
     bool frozen;                         /* the parameters are not updated                  */
     bool seeded;                         /* the plain observer integrates from a seed       */
     uint32_t sample_index;
-    uint32_t restarts;                   /* of the filter, by its guard                     */
-    union {                              /* before the filter runs, and while it does       */
+    uint32_t restarts;                   /* restarts of the filter by its guard             */
+    union {                              /* `start` before the filter runs, then `block`    */
         struct {
             fo_candidate candidates[FO_CANDIDATES];
-            uint32_t confirmations;      /* candidates that converged to the best one       */
-            int32_t best;                /* index of the best one                           */
+            uint32_t confirmations;      /* candidates that converged to the best candidate */
+            int32_t best;                /* index of the best candidate                     */
         } start;
         fo_block block;
     } now;
-    /* Information factor. Flux and drift: about their estimates. Parameters: about their prior
-     * mean, in their prior stds. */
+    /* Information factor. Flux and drift are relative to their estimates. Parameters are relative
+     * to their prior mean, in units of their prior std. */
     fo_real U[FO_PACKED(FO_NA)], d[FO_NA], z[FO_NA];
     fo_real flux[FO_N], drift[FO_N], p[FO_NP]; /* the estimates                             */
     uint32_t reinject_index;             /* parameter whose prior is re-injected next       */
-    uint32_t report_index;               /* std that is updated next                        */
-    fo_real forgotten;                   /* share of information forgotten in this round ...*/
-    fo_real forgotten_before;            /* ... and in the last                             */
-    fo_real noise_level;                 /* power of the filter's innovations over the      */
-                                         /* assumed one                                     */
+    uint32_t report_index;               /* index of the std that is updated next           */
+    fo_real forgotten;                   /* share of the information forgotten in this round */
+    fo_real forgotten_before;            /* share of the information forgotten in the last round */
+    fo_real noise_level;                 /* power of the filter's innovations / assumed power */
     fo_real rows;                        /* measurement rows since the start                */
-    fo_real innovation_power;            /* power of the parameters' innovations over their */
-                                         /* variance                                        */
-    fo_real operating_point[3];          /* i_d, i_q [A], electrical step per memory        */
-    fo_real rows_at_point;               /* rows taken there                                */
-    fo_real variance_across;             /* of the flux across x, L_q known, ...            */
-    fo_real variance_time;               /* ... at this time since the last row [memories]  */
-    fo_real variance_by_L_q;             /* what the error of L_q adds to it, ...           */
-    fo_real armature_flux_q;             /* ... at this armature flux, ...                  */
-    fo_real variance_by_L_q_now;         /* ... and at the present one                      */
-    fo_real reported_std[3];             /* of psi_f, resistance, inverter's loss           */
-    fo_real voltage_std;                 /* of the voltage, from the parameters, at ...     */
-    fo_real voltage_std_square;          /* ... this square of the current [A^2]            */
-    fo_real emf_ratio;                   /* that voltage over the EMF, accumulated [rad]    */
-    fo_real voltage_turn;                /* turn by an unmodelled voltage error [rad]       */
-    fo_real signs[2][FO_N];              /* of the phase currents, soft: inverter's loss    */
-    fo_real sign_gradient[3];            /* its derivative by the current                   */
+    fo_real innovation_power;            /* power of the parameters' innovations / their variance */
+    fo_real operating_point[3];          /* i_d, i_q [A], electrical turn per memory        */
+    fo_real rows_at_point;               /* measurement rows at this operating point        */
+    fo_real variance_across;             /* variance of the flux across x, with L_q known   */
+    fo_real variance_time;               /* time of variance_across since the last row [memories] */
+    fo_real variance_by_L_q;             /* variance that the error of L_q adds             */
+    fo_real armature_flux_q;             /* armature flux at which variance_by_L_q holds    */
+    fo_real variance_by_L_q_now;         /* variance_by_L_q at the present armature flux    */
+    fo_real reported_std[3];             /* stds of psi_f, resistance, inverter's loss      */
+    fo_real voltage_std;                 /* std of the voltage due to the parameters        */
+    fo_real voltage_std_square;          /* squared current at which voltage_std holds [A^2] */
+    fo_real emf_ratio;                   /* integral of voltage_std / EMF [rad]             */
+    fo_real voltage_turn;                /* turn of the flux by unmodelled voltages [rad]   */
+    fo_real signs[2][FO_N];              /* soft signs of the phase currents, for the loss  */
+    fo_real sign_gradient[3];            /* derivative of the signs by the current          */
 #if FO_MAPPED
     fo_map_point map_point;              /* the map at the filter's own angle               */
 #endif
-    fo_real knee;                        /* how soft the harder signs are now, 0 to 1       */
+    fo_real knee;                        /* softness of the harder signs now, 0 to 1        */
     fo_real x[FO_N], theta;              /* direction of the position vector                */
-    fo_real rotation;                    /* before the filter runs: since one candidate is  */
-                                         /* likely [rad]                                    */
-    fo_real disagreement;                /* turn while it differs from the guard [rad]      */
+    fo_real rotation;                    /* rotation since one candidate is likely, before the
+                                          * filter runs [rad] */
+    fo_real disagreement;                /* turn during which filter and guard differ [rad] */
     fo_tracker tracker;
 } fo_adaptive_state;
 
 typedef struct {
-    fo_estimate position;     /* as of the plain observer                                     */
-    fo_real drift_std;        /* of a component [V]                                           */
-    fo_real psi_f, psi_f_std; /* magnet flux; active flux while nothing better is known [Wb]  */
+    fo_estimate position;     /* estimates that the plain observer also has                   */
+    fo_real drift_std;        /* std of a drift component [V]                                 */
+    fo_real psi_f, psi_f_std; /* magnet flux; active flux until the former is known [Wb]      */
     fo_real resistance_error; /* true minus assumed [Ohm]                                     */
     fo_real resistance_std;
     fo_real inverter_voltage; /* [V]                                                          */
     fo_real inverter_std;
-    fo_real theta_other;      /* while two angles are in question, the other one [rad] ...    */
-    fo_real weight_other;     /* ... and its weight, 0 to 1/2                                 */
+    fo_real theta_other;      /* second angle while two angles are possible [rad]             */
+    fo_real weight_other;     /* weight of the second angle, 0 to 1/2                         */
     bool adapting;            /* the filter runs                                              */
 } fo_adaptive_estimate;
 
-/* What has been learnt: every parameter and its standard deviation. */
+/* Learnt values: every parameter with its standard deviation. */
 #define FO_LEARNT_FIELDS(VECTOR, NUMBER)                       \
     NUMBER(psi_f)            /* [Wb]                        */ \
     NUMBER(psi_f_std)                                          \
@@ -212,24 +213,25 @@ typedef struct {
     NUMBER(resistance_std)                                     \
     NUMBER(inverter_voltage) /* [V]                         */ \
     NUMBER(inverter_std)                                       \
-    VECTOR(offset)           /* of the measured current [A] */ \
+    VECTOR(offset)           /* offset of the measured current [A] */ \
     VECTOR(offset_std)                                         \
-    VECTOR(asymmetry)        /* g in u' = u + g conj(u) [1] */ \
+    VECTOR(asymmetry)        /* component of g in u' = u + g conj(u) [1] */ \
     VECTOR(asymmetry_std)                                      \
-    VECTOR(inductance_error) /* of L_d and L_q, shares [1]  */ \
+    VECTOR(inductance_error) /* errors of L_d and L_q, as shares [1] */ \
     VECTOR(inductance_std)
 
 typedef struct {
     FO_LEARNT_FIELDS(FO_VECTOR_FIELD, FO_NUMBER_FIELD)
 } fo_learnt;
 
-/* Like fo_init, fo_wrong, fo_reset, fo_step, fo_step_volt_seconds and fo_step_for. */
+/* Like the functions fo_init, fo_wrong, fo_reset, fo_step, fo_step_volt_seconds and fo_step_for. */
 fo_error fo_adaptive_init(fo_adaptive *observer, const fo_config *config,
                           const fo_adaptive_config *adaptive);
 const char *fo_adaptive_wrong(const fo_config *config, const fo_adaptive_config *adaptive);
 void fo_adaptive_reset(const fo_adaptive *observer, fo_adaptive_state *state);
 
-/* Resets all but what has been learnt, as after a power cycle. If `frozen`, that stays as it is. */
+/* Resets the state as after a power cycle, but keeps what has been learnt. If `frozen`, the learnt
+ * values do not change any more. */
 void fo_adaptive_restart(const fo_adaptive *observer, fo_adaptive_state *state, bool frozen);
 
 void fo_adaptive_step(const fo_adaptive *observer, fo_adaptive_state *state,

@@ -8,42 +8,42 @@
 /* Elements on the manifold; the last is the square of the magnet flux. */
 enum { M_FLUX = 0, M_DRIFT = FO_N, M_SQUARE = 2 * FO_N };
 
-/* ---- thresholds: unit, reason, and what fixed them --------------------------------------
- * "Benchmark" is the start in benchmarks/adaptive.py (worst of 40 unknown angles, 90 degrees after
- * the start); "tests" are in tests/observers/test_adaptive. */
+/* ---- thresholds: unit, reason, and what determined their value ----------------------------
+ * "Benchmark" is the start in benchmarks/adaptive.py: the worst of 40 unknown angles, 90 degrees
+ * after the start. "Tests" are in tests/observers/test_adaptive. */
 
-/* Damping of the Gauss-Newton steps, as information [1, that of one sample]: a thousandth keeps the
- * matrix regular before the first sample, and is negligible after it (tests). */
+/* Damping of the Gauss-Newton steps, as information [1, that of one sample]. A thousandth keeps the
+ * matrix regular before the first sample and is negligible afterwards (tests). */
 static const fo_real DAMPING = (fo_real)1e-3;
-/* Candidates closer than 22.5 degrees are the same: half of the range that each of the four covers
- * to a side. Square of the cosine [1] (benchmark). */
+/* Square of the cosine of the angle below which candidates are the same [1]: 22.5 degrees, half of
+ * the range that each of the four candidates covers to a side (benchmark). */
 static const fo_real SAME_DIRECTION = (fo_real)0.8536;
-/* Steps after which a candidate has converged [1]: Gauss-Newton doubles the digits with each, and
- * four reduce 22.5 degrees to less than noise (benchmark). */
+/* Steps after which a candidate has converged [1]. Each Gauss-Newton step doubles the digits: four
+ * steps reduce 22.5 degrees to less than noise (benchmark). */
 static const uint32_t CONVERGED_AFTER = 4U;
-/* This many candidates must converge to the best one [1]: one and a half rounds of the four, so
- * that no hypothesis in between is missed (benchmark); ... */
+/* Candidates that must converge to the best candidate [1]: one and a half rounds of the four, so
+ * that no hypothesis between them is missed (benchmark). */
 static const uint32_t CONFIRMATIONS = 6U;
-/* ... and no other may have more than this weight [1], the probability of a wrong start
- * (benchmark). */
+/* Largest weight that another candidate may have at the start [1]. The weight is the probability of
+ * a wrong start (benchmark). */
 static const fo_real SECOND_WEIGHT_MAX = (fo_real)0.01;
-/* Share of the information that may be noise at the start [1]: three times that of a valid
- * position, since the filter checks itself later (benchmark, noise 2.5 %). */
+/* Share of noise that the information may have at the start [1]. It is three times that of a valid
+ * position, because the filter checks itself later (benchmark, noise 2.5 %). */
 static const fo_real START_SHARE = (fo_real)0.3;
-/* Upper bound of that share [1]: the remainder is a divisor. */
+/* Upper bound of the noise share [1]: the remaining share is a divisor. */
 static const fo_real NOISE_SHARE_MAX = (fo_real)0.99;
-/* A difference of two costs below this many stds of noise is no difference [1]: once in 30 000
- * starts (benchmark). */
+/* Differences of two costs below this many stds of noise are ignored [1]: noise exceeds the limit
+ * once in 30 000 starts (benchmark). */
 static const fo_real FLUCTUATION = (fo_real)4;
 /* Parameter-to-EMF ratio up to which the start does not wait for the plain observer's position [1]:
- * a fifth turns the flux by 11 degrees (benchmark). */
+ * a ratio of a fifth turns the flux by 11 degrees (benchmark). */
 static const fo_real QUICK_START = (fo_real)0.2;
-/* Upper bound of that ratio [1]: above a half the EMF determines no angle. */
+/* Upper bound of the parameter-to-EMF ratio [1]: above a half the EMF determines no angle. */
 static const fo_real EMF_RATIO_MAX = (fo_real)0.5;
-/* Smallest square of a magnet flux [flux bases]: a fifth of the assumed one; a shorter vector has
- * no direction (tests). */
+/* Smallest square of a magnet flux [flux bases]: the flux is a fifth of the assumed one. A shorter
+ * vector has no direction (tests). */
 static const fo_real SQUARE_MIN = (fo_real)0.04;
-/* Smallest square of a position vector with a direction [flux bases]: a length of a hundredth
+/* Smallest square of a position vector that has a direction [flux bases]: its length is a hundredth
  * (tests). */
 static const fo_real LENGTH_SQUARE_MIN = (fo_real)1e-4;
 
@@ -62,7 +62,7 @@ static fo_real magnet_flux(const fo_adaptive *a, const fo_adaptive_state *s)
     return a->psi > ZERO ? a->psi + a->std[FO_PSI] * s->p[FO_PSI] : ZERO;
 }
 
-/* Do two position vectors have the same direction, to within SAME_DIRECTION? */
+/* Do two position vectors have the same direction within SAME_DIRECTION? */
 static bool same_direction(const fo_real x[FO_N], const fo_real y[FO_N])
 {
     const fo_real product = dot(x, y);
@@ -110,8 +110,8 @@ static fo_real limited_emf_ratio(const fo_adaptive_state *s)
     return s->emf_ratio < EMF_RATIO_MAX ? s->emf_ratio : EMF_RATIO_MAX;
 }
 
-/* Sets the information to damping and the prior of the magnet flux, whose variance includes that of
- * resistance and inverter by the parameter-to-EMF ratio. */
+/* Sets the information to damping and the prior of the magnet flux. Through the parameter-to-EMF
+ * ratio, the prior's variance includes the variance of resistance and inverter. */
 static void set_prior(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *c,
                   fo_manifold *m)
 {
@@ -134,7 +134,7 @@ void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_c
     const fo_real *flux = &c->p[M_FLUX], *drift = &c->p[M_DRIFT], *u = info->U;
     fo_real row_x[FO_NX], immersed[FO_NX], x[FO_N], row[FO_NM], predicted = ZERO;
 
-    /* docs/theory.md, section 13: the immersion's state as a function of the manifold's. */
+    /* The immersion's state as a function of the manifold's: docs/theory.md, section 13. */
     immersed[S] = dot(flux, flux) - c->p[M_SQUARE];
     immersed[KAPPA] = TWO * dot(flux, drift);
     immersed[CC] = dot(drift, drift);
@@ -168,9 +168,9 @@ void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_c
         fo_add_row_to(FO_NM, m->U, m->d, m->z, 0, FO_NM, row, &value, &weight);
         predicted += weight * value * value;
     }
-    /* Current noise in the rows adds noise psi^2 to the cost, which pulls psi to zero: subtract it.
-     * It is linear in the last unknown, and so moves nothing else in the triangle. Nothing
-     * information of that unknown: nothing to move. */
+    /* Current noise in the rows adds noise psi^2 to the cost, which pulls psi to zero: subtract
+     * this term. The term is linear in the last unknown, and so changes nothing else in the factor.
+     * If the data contain no information on that unknown, nothing changes. */
     const fo_real noise = info->noise[0], information = m->d[M_SQUARE];
     const fo_real shift = information > ZERO ? noise / (TWO * information) : ZERO;
     predicted -= information * shift * shift;
@@ -186,7 +186,7 @@ void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_c
     c->p[M_SQUARE] = c->p[M_SQUARE] > lowest ? c->p[M_SQUARE] : lowest;
     c->predicted_cost = predicted - noise * c->p[M_SQUARE];
     position_vector(a, s, c, x);
-    /* after a jump it must converge again */
+    /* after a jump the candidate must converge again */
     c->age = same_direction(x, x_before) ? c->age + 1U : 0U;
     const fo_real square = dot(x, x),
                   all = dot(drift, drift) + c->p[M_SQUARE] + c->cost + c->predicted_cost;
@@ -216,8 +216,8 @@ static int best_candidate(const fo_adaptive_state *s)
     return best;
 }
 
-/* Index of the next best converged candidate in another direction, or -1. One in the same direction
- * is placed elsewhere. */
+/* Index of the next best converged candidate in another direction, or -1. Candidates in the same
+ * direction as the best are placed elsewhere. */
 static int second_candidate(const fo_adaptive *a, fo_adaptive_state *s, int best)
 {
     int second = -1;
@@ -240,7 +240,7 @@ static int second_candidate(const fo_adaptive *a, fo_adaptive_state *s, int best
                        c->predicted_cost < s->now.start.candidates[second].predicted_cost) {
                 second = k;
             } else {
-                /* worse than the second */
+                /* this candidate is worse than the second */
             }
         }
     }
@@ -254,7 +254,8 @@ static fo_real exp_of_minus(fo_real x)
     return ONE / (ONE + x * (ONE + x / TWO * third));
 }
 
-/* Likelihood ratio of the second to the best candidate, whose position vector has this square. */
+/* Likelihood ratio of the second candidate to the best. The best candidate's position vector has
+ * this square. */
 static fo_real likelihood_ratio(const fo_adaptive *a, const fo_adaptive_state *s,
                                 const fo_candidate *best, const fo_candidate *second,
                                 fo_real square, fo_real inflation) {

@@ -16,9 +16,10 @@ static fo_real smaller(fo_real a, fo_real b) { return a < b ? a : b; }
 
 /* ---- settings --------------------------------------------------------------------------- */
 
-/* Noise of the current enters the flux directly, as L i, and through the resistive drop, as a
- * random walk of its samples: R sqrt(h T) / (2 L) of the first. Where L/R is short, a shorter
- * memory keeps the second below the first; but it must hold a turn at a quarter of the speed. */
+/* Current noise enters the flux directly, as L i. It also enters through the resistive drop, as a
+ * random walk whose size is R sqrt(h T) / (2 L) of the direct noise. Where L/R is short, a shorter
+ * memory keeps the random walk below the direct noise. But the memory must hold a turn at a quarter
+ * of the speed. */
 static fo_real memory_for(const fo_sizes *m, fo_real h)
 {
     fo_real memory = m->usual_memory;
@@ -31,10 +32,11 @@ static fo_real memory_for(const fo_sizes *m, fo_real h)
     return memory;
 }
 
-/* 1 - exp(-x), x >= 0: by its series for small x, doubled by 1 - exp(-2 x) = y (2 - y). */
+/* 1 - exp(-x), x >= 0: computes the series for small x, then doubles x by 1 - exp(-2 x) = y (2 -
+ * y). */
 static fo_real one_minus_exp(fo_real x)
 {
-    const fo_real all = (fo_real)40; /* nothing is left of it */
+    const fo_real all = (fo_real)40; /* above this, exp(-x) is negligible */
     fo_real part = x < all ? x : all;
     int halvings = 0;
     for (int n = 0; n < 12; n++) {
@@ -60,8 +62,8 @@ void fo_kink_weights(fo_real share, fo_real weights[2])
         weights[0] = a / (fo_real)8;
         weights[1] = -a / (fo_real)24;
     } else {
-        /* A step of the voltage adds (1 - exp(-t R/L)) / R to the current: its mean over the
-         * interval, less that of the cubic through the samples. */
+        /* A step of the voltage adds (1 - exp(-t R/L)) / R to the current. Compute the mean of this
+         * over the interval, minus the mean of the cubic through the samples. */
         const fo_real one = one_minus_exp(a), two = one_minus_exp(TWO * a);
         weights[0] = (a - one) / a - (fo_real)9 / (fo_real)24 * one;
         weights[1] = (a - (ONE - one) * one) / a -
@@ -76,7 +78,7 @@ void fo_choose(fo_config *c, const fo_sizes *m, fo_voltage voltage)
     const bool held =
         voltage == FO_VOLTAGE_HELD || (voltage == FO_VOLTAGE_AUTO && share >= usual.MATTERS);
     fo_real kinks[2];
-    /* A tracker that follows load steps does not depend on why a memory is short. */
+    /* The tracker's bandwidth must follow load steps, whatever the reason for a short memory. */
     c->tracker_bandwidth = usual.TRACKER / (c->memory > ZERO ? c->memory : m->usual_memory);
     c->memory = c->memory > ZERO ? c->memory : memory_for(m, h);
     c->current_noise =
@@ -150,7 +152,7 @@ static void set_sizes(const fo_machine *m, fo_sizes *s)
 static bool positive(fo_real x) { return x > ZERO && x - x == ZERO; }
 static fo_real ratio_above_one(fo_real ratio) { return ratio > ONE ? ratio : ONE / ratio; }
 
-/* Demands that each number is possible for its symbol. */
+/* Checks that each number is possible for its symbol. */
 static void demand_possible(field_error *error, const fo_machine *m, fo_real sample_time)
 {
     const bool has_cage = m->kind == FO_CAGE, salient = m->kind == FO_RELUCTANCE;
@@ -168,35 +170,37 @@ static void demand_possible(field_error *error, const fo_machine *m, fo_real sam
     demand(error, memory_fits(usual.MEMORY, sample_time), FO_ERROR_SAMPLE_TIME, "sample_time");
 }
 
-/* Limits that motors from grams to megawatts keep: L/R [s], L i / psi, and R i / psi [rad/s], the
- * speed at which the EMF is the rated resistive drop. What is usual is in the middle of each. */
+/* Limits for motors from grams to megawatts: L/R [s], L i / psi, and R i / psi [rad/s]. The last
+ * ratio is the speed at which the EMF equals the rated resistive drop. The usual value is in the
+ * middle of each list. */
 static const fo_real TIME_CONSTANT[3] = {(fo_real)2e-6, (fo_real)3e-3, (fo_real)5};
 static const fo_real LOAD_FLUX[3] = {(fo_real)1e-3, (fo_real)0.3, (fo_real)50};
 static const fo_real DROP_SPEED[3] = {(fo_real)0.01, (fo_real)100, (fo_real)2e4};
-/* The same for L_d / L_q, its inverse, and L_M / L_sigma; and for L_M / R_R [s]. */
+/* Limits of L_d / L_q and its inverse, of L_M / L_sigma, and of L_M / R_R [s]. */
 static const fo_real RATIO = (fo_real)50, MAGNETIZING_RATIO = (fo_real)1000;
 static const fo_real ROTOR_CONSTANT[2] = {(fo_real)1e-3, (fo_real)100};
 
-/* The number whose unit is wrong, most likely, where a ratio is beyond its limits. A wrong R
- * changes the first and the last of the three, a wrong L the first two, a wrong psi or current the
- * last two: that is wrong which leaves the third as it usually is. */
+/* Where a ratio is beyond its limits, returns the number whose unit is most likely wrong. A wrong R
+ * changes the first and the last of the three ratios, a wrong L the first two, a wrong psi or
+ * current the last two. The wrong number is therefore the one whose unaffected ratio is nearest to
+ * its usual value. */
 static const char *likeliest_unit_error(const fo_machine *m, fo_real time, fo_real flux,
                                         fo_real speed) {
     const fo_real resistance = ratio_above_one(flux / LOAD_FLUX[1]);
     const fo_real inductance = ratio_above_one(speed / DROP_SPEED[1]);
     const fo_real scale = ratio_above_one(time / TIME_CONSTANT[1]);
     const char *wrong = inductance <= scale ? "L_q" : "psi or rated_current";
-    if (m->kind == FO_RELUCTANCE) { /* its flux is L i itself */
+    if (m->kind == FO_RELUCTANCE) { /* the flux of this machine is L i */
         wrong = "R_s or L_d and L_q";
     } else if (resistance <= inductance && resistance <= scale) {
         wrong = "R_s";
     } else {
-        /* L, or the scale */
+        /* either L or the scale is wrong */
     }
     return wrong;
 }
 
-/* Demands that the sizes fit each other. */
+/* Checks that the sizes fit each other. */
 static void demand_fit(field_error *error, const fo_machine *m, const fo_sizes *s)
 {
     const fo_real time = m->L_q / m->R_s, flux = m->L_q * m->rated_current / s->flux;
@@ -216,7 +220,7 @@ static void demand_fit(field_error *error, const fo_machine *m, const fo_sizes *
 
 static void configure(fo_config *c, const fo_machine *m, const fo_sizes *sizes)
 {
-    /* (flux - L_q i)'(flux - L i) is constant: L is L_q too, or L_d without magnets. */
+    /* (flux - L_q i)'(flux - L i) is constant: L is L_q too, or L_d if there are no magnets. */
     const fo_real L = m->kind == FO_RELUCTANCE ? m->L_d : m->L_q;
     for (int i = 0; i < FO_N; i++) {
         c->Q1[i][i] = ONE;
@@ -234,7 +238,7 @@ const char *fo_configure(fo_config *c, const fo_machine *m, fo_real sample_time)
     field_error error = {FO_OK, NULL};
     (void)memset(c, 0, sizeof *c);
     demand_possible(&error, m, sample_time);
-    if (error.code == FO_OK) { /* else ratios have no meaning */
+    if (error.code == FO_OK) { /* after an error, ratios have no meaning */
         fo_sizes sizes;
         set_sizes(m, &sizes);
         demand_fit(&error, m, &sizes);

@@ -1,4 +1,4 @@
-/* Shared by the sources; not for users.
+/* Shared by the sources. Not for users.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -34,81 +34,83 @@
 /* Order of the immersion's state. */
 enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
 
-/* ---- thresholds ------------------------------------------------------------------------ Of the
- * plain observer: each with its unit, its reason, and the test that fails at half or at twice its
- * value ("not sharp": no test does). The list at the end names them for the binding. Tests without
- * a folder are in tests/observers/test_accuracy.py. */
+/* ---- thresholds ------------------------------------------------------------------------
+ * Thresholds of the plain observer. Each threshold has its unit, its reason, and the test that
+ * fails at half or at twice its value ("not sharp": no test fails). The list at the end names the
+ * thresholds for the binding. Tests without a folder are in tests/observers/test_accuracy.py. */
 
-/* Share of the flux information that may be noise before the flux is called unknown [1]. Noise in
- * the rows shortens an estimate by its share: a tenth, in one direction only, turns the flux by up
- * to 3 degrees (twice: test_carried_through_a_short_standstill). */
+/* Share of noise in the flux information above which the flux is called unknown [1]. Noise in the
+ * rows shortens an estimate by this share. A tenth, in one direction only, turns the flux by up to
+ * 3 degrees (twice: test_carried_through_a_short_standstill). */
 #define SHARE_LIMIT ((fo_real)0.1)
 /* Angle by which a voltage error as large as the drift's prior may turn the flux while the position
- * is valid: 8 degrees [rad] (benchmarks/validity.py; half:
+ * is valid [rad]: 8 degrees (benchmarks/validity.py; half:
  * test_a_ripple_of_the_speed_does_not_keep_a_position_from_being_valid, twice:
  * test_stop_with_a_voltage_error_is_not_wrong_and_sure). */
 #define VOLTAGE_LIMIT (PI / (fo_real)22.5)
-/* Upper bound of that angle [rad]: ten times VOLTAGE_LIMIT, since a wrong flux may be long; a
- * larger one would be remembered for long after a stop (not sharp). */
+/* Upper bound of that angle [rad]: ten times VOLTAGE_LIMIT, since a wrong flux may be long. The
+ * effect of a larger angle would last for long after a stop (not sharp). */
 #define VOLTAGE_TURN_MAX (PI / (fo_real)2.25)
-/* A larger change of the flux in one sample is an error [flux bases]: twice what eight samples per
- * period need, with a magnet flux twice as large as its base (half:
+/* Largest change of the flux in one sample; a larger change is an error [flux bases]. It is twice
+ * the change that eight samples per period need, if the magnet flux is twice its base (half:
  * tests/observers/test_bad_samples.py,
  * test_a_spike_in_the_voltage_restarts_once_the_currents_contradict). */
 #define FLUX_STEP_LIMIT ((fo_real)4)
-/* A measurement whose innovation exceeds this is rejected [constraint bases]: the size of the
- * relation itself. STEP_LIMIT deals with smaller ones (half:
+/* A measurement with a larger innovation is rejected [constraint bases]. The limit is the size of
+ * the relation itself; STEP_LIMIT rejects smaller errors (half:
  * test_exact_without_noise_from_volt_seconds, twice: test_drift_jump_is_followed). */
 #define OUTLIER_LIMIT ((fo_real)1)
-/* So is a measurement that moves the position vector by more than twice its last step, this share
- * of its length [1] and this many stds of noise [1] together: a current spike may not change its
- * length. 0.15 turns it by 9 degrees; six stds occur once in 10^9 samples (twice of either:
- * tests/observers/test_bad_samples.py, test_spikes_of_any_size_and_direction_do_not_mislead). */
+/* A measurement is also rejected if it moves the position vector by more than a sum: twice the
+ * vector's last step, this share of its length [1], and this many stds of noise [1]. A current
+ * spike may not change the length. A share of 0.15 turns the vector by 9 degrees; six stds occur
+ * once in 10^9 samples (twice of either: tests/observers/test_bad_samples.py,
+ * test_spikes_of_any_size_and_direction_do_not_mislead). */
 #define STEP_LIMIT ((fo_real)0.15)
 #define STEP_NOISE ((fo_real)6)
-/* After this rotation, a drift beyond its prior's std means that the prior was too tight: one and a
- * half turns [rad], which show any flux circle as a whole (not sharp). */
+/* If the drift exceeds its prior's std after this rotation, the prior was too tight [rad]. A
+ * rotation of one and a half turns shows any flux circle as a whole (not sharp). */
 #define SETTLED ((fo_real)3 * PI)
-/* The prior's variance then becomes this many times the square of that drift [1]: a std of twice
- * the drift, so that it is ordinary from then on (not sharp). */
+/* The prior's variance then becomes this many times the square of that drift [1]. The new std is
+ * twice the drift, so that the drift is ordinary from then on (not sharp). */
 #define WIDEN ((fo_real)4)
-/* Factor on the past information then, over the square of that excess [1]: enough to keep the
- * matrix regular, too little to matter (not sharp). With a flux map, the factor on the information
- * from before the position was known (at 1, starts are wrong by up to 8 degrees). */
+/* The past information is then multiplied by this factor divided by the squared ratio of the drift
+ * to its std [1]. The factor is large enough to keep the matrix regular, and too small to matter
+ * (not sharp). With a flux map, the factor reduces the information from before the position was
+ * known (at 1, starts are wrong by up to 8 degrees). */
 #define DISTRUST ((fo_real)0.01)
-/* Rotation at a known flux before the position is trusted: half a turn [rad]. A flux that is wrong
- * by its drift shows within that (twice:
+/* Rotation at a known flux before the position is trusted [rad]: half a turn. A flux that is wrong
+ * due to its drift shows within this rotation (twice:
  * test_never_valid_at_standstill_and_one_period_is_enough_after). */
 #define SWEEP PI
-/* Largest std of a valid position: 3 degrees [rad], five stds are within 15 degrees (half:
+/* Largest std of a valid position [rad]: 3 degrees. Five stds are then within 15 degrees (half:
  * test_random_machines). */
 #define STD_LIMIT (PI / (fo_real)60)
-/* Time for which the tracker's error must be below that before a position is valid [memories]; and
- * the share of the time that counts while the error is larger [1]. Under a quick ripple of the
- * speed a tracker's error may stay larger; with the share, that delays a valid position by at most
+/* Time for which the tracker's error must be below STD_LIMIT before a position is valid [memories],
+ * and share of the time that counts while the error is larger [1]. Under a quick ripple of the
+ * speed the tracker's error may stay larger. The share then delays a valid position by at most
  * three memories (not sharp: half and twice delay a valid position by less than a memory). */
 #define TRACKER_SETTLED ((fo_real)0.1)
 #define TRACKER_OFF ((fo_real)(1.0 / 30.0))
-/* A tracker with a larger error restarts: 60 degrees [rad]. Beyond 90 it can lock onto a
- * speed that is a quarter of a turn per sample too fast (twice: tests/firmware/pieces.c). */
+/* Error at which the tracker restarts [rad]: 60 degrees. Beyond 90 degrees the tracker can lock
+ * onto a speed that is a quarter of a turn per sample too fast (twice: tests/firmware/pieces.c). */
 #define TRACKER_LOST (PI / (fo_real)3)
-/* Variance of an unknown angle: uniform over a turn [rad^2]. Not tuned. */
+/* Variance of an unknown angle, uniform over a turn [rad^2]. Not tuned. */
 #define VARIANCE_UNKNOWN (PI * PI / (fo_real)3)
 /* Square of a position vector above which the numbers have diverged [flux bases]: a hundred times
- * any flux, and far within single precision (not sharp; tests/firmware/fuzz.c). */
+ * any flux, but far within single precision (not sharp; tests/firmware/fuzz.c). */
 #define RUNAWAY ((fo_real)1e4)
-/* Cap on the correlation of successive innovations [1]: it inflates a variance by
- * (1 + r) / (1 - r) = 99, a std tenfold; what correlates more is a slow change, not noise (not
- * sharp). */
+/* Limit of the correlation of successive innovations [1]. The correlation r inflates a variance by
+ * (1 + r) / (1 - r), at most 99, and a std tenfold. A larger correlation shows a slow change, not
+ * noise (not sharp). */
 #define CORRELATION_LIMIT ((fo_real)0.98)
 /* Bad samples in a row that are bridged before a restart [1]. */
 #define MAX_CONSECUTIVE_BAD ((fo_real)FO_MAX_CONSECUTIVE_BAD)
-/* Length of a round [samples]. Samples take turns: one re-injects a row of the prior, the next
- * updates the variances. */
+/* Length of a round [samples]. In a round, samples alternate: one re-injects a row of the prior,
+ * the next updates the variances. */
 #define REINJECT_PERIOD ((fo_real)(2 * FO_NX))
 
-/* Active flux below which the gradient of its length is undefined: a thousandth [flux bases], far
- * below the shortest usable one. Not tuned. */
+/* Active flux below which the gradient of its length is undefined [flux bases]: a thousandth, far
+ * below the shortest usable active flux. Not tuned. */
 #define ACTIVE_FLUX_MIN ((fo_real)0.001)
 
 #define FO_THRESHOLDS(X)                                                                     \
@@ -117,15 +119,15 @@ enum { S = 0, FLUX = 1, KAPPA = FO_N + 1, DRIFT = FO_N + 2, CC = FO_NX - 1 };
     X(TRACKER_SETTLED) X(TRACKER_OFF) X(TRACKER_LOST) X(VARIANCE_UNKNOWN) X(RUNAWAY)         \
     X(CORRELATION_LIMIT) X(MAX_CONSECUTIVE_BAD) X(REINJECT_PERIOD) X(ACTIVE_FLUX_MIN)
 
-/* Lag-one correlation of innovations with these sums, between 0 and CORRELATION_LIMIT. */
+/* Lag-one correlation of innovations with these sums, limited to 0 to CORRELATION_LIMIT. */
 static inline fo_real correlation(fo_real lag_one, fo_real power)
 {
     const fo_real r = power > ZERO ? lag_one / power : ZERO;
     return !(r > ZERO) ? ZERO : r > CORRELATION_LIMIT ? CORRELATION_LIMIT : r;
 }
 
-/* (atan(q) / q - 1) / q^2 by powers of q^2, |q| <= 0.199: Chebyshev, relative error of atan(q)
- * below 8.1e-9, and 3.4e-19. */
+/* Coefficients of (atan(q) / q - 1) / q^2 by powers of q^2, |q| <= 0.199. Chebyshev: the relative
+ * error of atan(q) is below 8.1e-9 in single precision, 3.4e-19 in double. */
 #if FO_SINGLE
 #define FO_ATAN_SERIES                                                                       \
     {(fo_real)-0.136489613386948304, (fo_real)0.199906407297515527,                          \
@@ -138,23 +140,23 @@ static inline fo_real correlation(fo_real lag_one, fo_real power)
      (fo_real)0.199999999999972729,  (fo_real)-0.333333333333333325}
 #endif
 /* Expansion points of the arc tangent besides 0 and pi/4: an angle, its tangent (exact in any
- * fo_real), and the tangents at which the next point is nearer [1]. */
+ * fo_real), and the tangents above which the next point is nearer [1]. */
 #define FO_BETWEEN ((fo_real)0.392570135011828595166)
 #define FO_TAN_BETWEEN ((fo_real)0.4140625)
 #define FO_NEAR_ZERO ((fo_real)0.19884534)
 #define FO_NEAR_BETWEEN ((fo_real)0.66808538)
 
-/* Angle of (x, y), in (-pi, pi], to within four units in the last place; NaN if either is NaN. The
- * same bits with every compiler and on every processor, unlike the atan2 of C libraries. */
+/* Angle of (x, y) in (-pi, pi], to within four units in the last place; NaN if x or y is NaN. The
+ * bits are the same with every compiler and processor, unlike those of atan2 in C libraries. */
 fo_real fo_atan2(fo_real y, fo_real x);
 
-/* Adds row'x = value with this information to the factor; the row's elements before `first` are
+/* Adds row'x = value with this information to the factor. The row's elements before `first` are
  * zero. Returns the normalised innovation. */
 fo_real fo_add_row(fo_information *info, fo_real row[FO_NX], fo_real value, fo_real information,
                      int first);
 
 #if FO_MAPPED
-/* Linearises the map at a current and a rotor angle; a cage's rotor flux is that of `f`. */
+/* Linearises the map at a current and a rotor angle. `f` gives a cage's rotor flux. */
 void fo_linearise_map(const fo_observer *o, fo_real angle, const fo_real current[FO_N],
                       fo_map_point *f);
 #endif
@@ -174,7 +176,7 @@ static inline fo_real row_of(const fo_real matrix[FO_N][FO_N], int i, const fo_r
 #endif
 }
 
-/* Adds a linear term of the relation, if it has any. */
+/* Adds a linear term of the relation, if the relation has one. */
 static inline fo_real add_linear(fo_real sum, fo_real term)
 {
 #if FO_ISOTROPIC
@@ -185,7 +187,7 @@ static inline fo_real add_linear(fo_real sum, fo_real term)
 #endif
 }
 
-/* A component of the armature flux: position vector = flux - armature flux. */
+/* A component of the armature flux. The position vector is flux - armature flux. */
 static inline fo_real armature_flux(const fo_observer *o, const fo_state *s, int i)
 {
 #if FO_MAPPED
@@ -206,7 +208,7 @@ static inline bool has_map(const fo_observer *o)
 #endif
 }
 
-/* Does the rotor flux follow the current, as a cage's? */
+/* Does the rotor flux follow the current, as in a cage? */
 static inline bool has_cage_map(const fo_observer *o)
 {
 #if FO_MAPPED
@@ -217,8 +219,8 @@ static inline bool has_cage_map(const fo_observer *o)
 #endif
 }
 
-/* Variance of a cage's angle by a current offset, which makes its flux ripple [rad^2]: the flux is
- * the low-passed current. */
+/* Variance of a cage's angle due to a current offset [rad^2]. The offset makes the flux ripple,
+ * because the flux is the low-passed current. */
 static inline fo_real cage_ripple_variance(const fo_observer *o, fo_real speed)
 {
     fo_real variance = ZERO;
@@ -250,7 +252,7 @@ static inline void demand(field_error *first, bool good, fo_error code, const ch
     }
 }
 
-/* Is the memory ten to a million samples, up to rounding? */
+/* Is the memory ten to a million samples, except for rounding? */
 static inline bool memory_fits(fo_real memory, fo_real sample_time)
 {
     return within(memory, (fo_real)9.99 * sample_time, (fo_real)1.001e6 * sample_time);
@@ -268,8 +270,8 @@ static inline fo_real wrap(fo_real angle)
     return angle > PI ? angle - TWO * PI : angle <= -PI ? angle + TWO * PI : angle;
 }
 
-/* Turns a vector by an angle below 1.5 rad, to within 1e-3 of the angle; the tangent of half of it
- * is approximated. */
+/* Turns a vector by an angle below 1.5 rad, to within 1e-3 of the angle: the tangent of half the
+ * angle is approximated. */
 static inline void turn(const fo_real v[FO_N], fo_real angle, fo_real turned[FO_N])
 {
     const fo_real half = angle / TWO, square = half * half;
@@ -281,8 +283,8 @@ static inline void turn(const fo_real v[FO_N], fo_real angle, fo_real turned[FO_
     turned[1] = sine * v0 + cosine * v1;
 }
 
-/* 24 times the mean current of the last interval, from the cubic through four samples, newest
- * first. */
+/* 24 times the mean current of the last interval, from the cubic through four samples. The newest
+ * sample is first. */
 static inline fo_real mean_current_24(fo_real i0, fo_real i1, fo_real i2, fo_real i3)
 {
     return (fo_real)9 * i0 + (fo_real)19 * i1 - (fo_real)5 * i2 + i3;
@@ -291,7 +293,8 @@ static inline fo_real mean_current_24(fo_real i0, fo_real i1, fo_real i2, fo_rea
 /* Is this a state of zeros, on which fo_reset was never called? */
 static inline bool is_never_reset(const fo_state *s) { return s->noise_inflation == ZERO; }
 
-/* Is this not a state of the observer: zeros, or overwritten memory? Checked once in a round. */
+/* Is this an invalid state of the observer, that is, zeros or overwritten memory? Each state is
+ * checked once in a round. */
 #define fo_damaged FO_NAME(fo_damaged)
 bool fo_damaged(const fo_observer *o, const fo_state *s);
 
@@ -303,7 +306,7 @@ static inline void stop_tracker(fo_tracker *t, fo_real theta)
     t->lost = false;
 }
 
-/* Rotation in a sample that the tracker predicts. */
+/* Rotation per sample that the tracker predicts. */
 static inline fo_real predicted_step(const fo_observer *o, const fo_tracker *t)
 {
     const fo_real h = o->sample_time;
@@ -321,7 +324,7 @@ static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
 {
     const fo_real h = o->sample_time;
     const fo_real step = predicted_step(o, t);
-    if (t->lost) { /* its angle is that of the last sample */
+    if (t->lost) { /* the tracker's angle is that of the last sample */
         const fo_real turned = wrap(theta - t->angle);
         stop_tracker(t, theta);
         t->speed = turned / h;
@@ -332,28 +335,28 @@ static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
             t->angle = wrap(predicted + o->track[0] * error);
             t->speed += h * t->acceleration + o->track[1] * error;
             t->acceleration += o->track[2] * error;
-        } else { /* it could lock onto a speed at which the errors of four samples cancel */
+        } else { /* do not lock onto a speed at which the errors of four samples cancel */
             stop_tracker(t, theta);
             t->lost = true;
             t->settled = ZERO;
         }
-    } else { /* more than half a turn in a sample */
+    } else { /* the rotor turned by more than half a turn in a sample */
         stop_tracker(t, theta);
     }
 }
 
-/* Adds to the time for which the tracker's error was small: it starts from rest, whatever the
- * speed. */
+/* Adds to the time for which the tracker's error was small. The tracker starts from rest, whatever
+ * the speed. */
 static inline void settle_tracker(const fo_observer *o, fo_tracker *t, fo_real theta, fo_real std)
 {
-    if (t->settled < TRACKER_SETTLED) { /* once settled it stays so */
+    if (t->settled < TRACKER_SETTLED) { /* a settled tracker stays settled */
         const bool follows = fo_abs(wrap(theta - t->angle)) < STD_LIMIT + (fo_real)3 * std;
         t->settled += follows ? o->h : TRACKER_OFF * o->h;
     }
 }
 
-/* For an interval of this duration [s]: the observer, the interval's volt-seconds, and the current
- * at its end. An implausible duration gives an absurd current. */
+/* Returns, for an interval of this duration [s]: the observer, the interval's volt-seconds, and the
+ * current at its end. An implausible duration gives an absurd current. */
 void fo_uneven(const fo_observer *o, const fo_state *s, fo_real duration,
                const fo_real voltage[FO_N], const fo_real current[FO_N], fo_observer *now,
                fo_gathered *g);

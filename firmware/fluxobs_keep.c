@@ -24,7 +24,7 @@ typedef union {
     bit_pattern bits;
 } float_bits;
 
-/* A blob stores all bits of a number: if double has 32 bits, FO_SINGLE must be 1. */
+/* A blob stores all bits of a number. If double has 32 bits, FO_SINGLE must be 1. */
 typedef char fo_numbers_fill_their_bits[sizeof(fo_real) == sizeof(bit_pattern) ? 1 : -1];
 
 /* ---- bytes ------------------------------------------------------------------------------ */
@@ -45,7 +45,7 @@ static uint32_t get_bytes(const uint8_t *at, uint32_t bytes)
     return value;
 }
 
-/* CRC-32 of IEEE 802.3, bit by bit: short code, and it need not be fast. */
+/* CRC-32 of IEEE 802.3, bit by bit. The code is short; speed does not matter here. */
 static uint32_t checksum(const uint8_t *bytes, uint32_t length)
 {
     uint32_t sum = 0xFFFFFFFFU;
@@ -79,7 +79,7 @@ static fo_real get_number(const uint8_t *at)
     return number.value;
 }
 
-/* Position in a blob that is written or read; one of the two is null. */
+/* Position in a blob that is either written or read; the other pointer is null. */
 typedef struct {
     uint8_t *write;
     const uint8_t *read;
@@ -103,7 +103,7 @@ static void transfer_all(cursor *c, fo_real numbers[], int count)
     }
 }
 
-/* Features that an observer needs of the sources that run it. */
+/* Features that an observer needs from the sources that run it. */
 #define FEATURE_ASYMMETRY 1U
 #define FEATURE_HELD 2U
 #define FEATURE_MAP 4U
@@ -134,7 +134,7 @@ static bool lacks_feature(uint32_t features)
     return result;
 }
 
-/* Head: "FO", version, content, bytes of a number, features, length. */
+/* Head of a blob: "FO", version, content, bytes of a number, features, length. */
 static void put_head(uint8_t *blob, uint32_t of, uint32_t features, uint32_t length)
 {
     put_bytes(&blob[0], 0x4F46U, 2U);
@@ -244,8 +244,8 @@ fo_error fo_adaptive_unpack(fo_adaptive *a, const uint8_t *blob, uint32_t length
 
 /* ---- what has been learnt --------------------------------------------------------------- */
 
-/* Checksum of the units of the learnt parameters, as a number: observers with other units differ in
- * it. */
+/* Checksum of the units of the learnt parameters, as a number. Observers with other units have
+ * another checksum. */
 static fo_real unit_checksum(const fo_adaptive *a)
 {
     uint8_t bytes[((uint32_t)FO_NP + 3U) * (uint32_t)sizeof(fo_real)];
@@ -256,10 +256,10 @@ static fo_real unit_checksum(const fo_adaptive *a)
     transfer_all(&c, units, 3);
     transfer_all(&c, stds, (int)FO_NP);
     const uint32_t sum = checksum(bytes, (uint32_t)sizeof bytes) >> 8U;
-    return (fo_real)sum; /* 24 bits are exact */
+    return (fo_real)sum; /* a sum of 24 bits is exact */
 }
 
-/* The parameters' part of the factor, their estimates, and their prior means. */
+/* The parameters' part of the information factor, their estimates, and their prior means. */
 typedef struct {
     fo_real p[FO_NP], d[FO_NP], z[FO_NP], U[FO_NP * (FO_NP - 1) / 2], means[FO_PRIOR_MEANS];
 } learnt_numbers;
@@ -273,7 +273,7 @@ static void transfer_learnt(cursor *c, learnt_numbers *of)
     transfer_all(c, of->means, (int)FO_PRIOR_MEANS);
 }
 
-/* Are all finite, and the weights positive? */
+/* Are all numbers finite, and the weights positive? */
 static bool is_plausible(const learnt_numbers *of)
 {
     fo_real sum = ZERO;
@@ -302,7 +302,8 @@ void fo_adaptive_save(const fo_adaptive *a, const fo_adaptive_state *s,
     (void)memcpy(learnt.d, &s->d[FO_NF], sizeof learnt.d);
     (void)memcpy(learnt.z, &s->z[FO_NF], sizeof learnt.z);
     (void)memcpy(learnt.U, &s->U[FO_ROW(FO_NA, FO_NF)], sizeof learnt.U);
-    for (int i = 0; i < (int)FO_NP && is_never_reset(&s->plain); i++) { /* the prior */
+    for (int i = 0; i < (int)FO_NP && is_never_reset(&s->plain); i++) { /* a state of zeros stands
+                                                                         * for the prior */
         learnt.d[i] = ONE;
     }
     fo_learning_prior_means(a, learnt.means);

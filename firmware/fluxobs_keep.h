@@ -1,7 +1,8 @@
-/* fluxobs, storage: the parameters of an observer and what it has learnt, as bytes with a checksum,
- * for flash or EEPROM. The bytes are the same on every processor (least significant first).
+/* fluxobs, storage: writes the parameters of an observer, and what it has learnt, as bytes with a
+ * checksum, for flash or EEPROM. The bytes are the same on every processor (least significant
+ * first).
  *
- * * SPDX-License-Identifier: MIT
+ * SPDX-License-Identifier: MIT
  */
 #ifndef FLUXOBS_KEEP_H
 #define FLUXOBS_KEEP_H
@@ -26,7 +27,8 @@ extern "C" {
 #define fo_adaptive_restore FO_NAME(fo_adaptive_restore)
 #endif
 
-/* Version of the blobs: changes when a field is added to an observer or to its state. */
+/* Version of the blobs. The version changes when a field is added to an observer or to its
+ * state. */
 #define FO_LAYOUT 1U
 
 /* Bytes of a blob with this many numbers: head, numbers, checksum. */
@@ -34,28 +36,28 @@ extern "C" {
 #define FO_CHECKSUM 4U
 #define FO_BYTES(numbers) (FO_HEAD + (uint32_t)(numbers) * (uint32_t)sizeof(fo_real) + FO_CHECKSUM)
 
-/* Numbers of an observer without its map; the adaptive observer has more, below. */
+/* Numbers of an observer without its map. The adaptive observer has more numbers, see below. */
 #define FO_COUNT_MATRIX(name, meaning) +FO_N * FO_N
 #define FO_COUNT_ARRAY(name, size, meaning) +(size)
 #define FO_COUNT_NUMBER(name, meaning) +1
 enum { FO_NUMBERS = 0 FO_OBSERVER_FIELDS(FO_COUNT_MATRIX, FO_COUNT_ARRAY, FO_COUNT_NUMBER) };
 #define FO_PACKED_BYTES FO_BYTES(FO_NUMBERS)
 
-/* Writes the parameters: FO_PACKED_BYTES bytes. A motor chosen in the field is such a blob,
- * made on a PC or by fo_init in another drive. A flux map is not included: call fo_use_map
- * after unpacking. */
+/* Writes the parameters: FO_PACKED_BYTES bytes. A PC or another drive can make such a blob by
+ * fo_init, for a motor that is chosen in the field. The blob does not include a flux map: call
+ * fo_use_map after unpacking. */
 void fo_pack(const fo_observer *observer, uint8_t blob[FO_PACKED_BYTES]);
 
-/* Reads the parameters. FO_ERROR_DAMAGED: length, version or checksum is wrong. FO_ERROR_OTHER:
- * another precision, another kind of observer, or a feature that these sources leave out
- * (fluxobs_real.h). On an error the observer stays as it was. */
+/* Reads the parameters. FO_ERROR_DAMAGED: length, version or checksum is wrong. FO_ERROR_OTHER: the
+ * blob has another precision or kind of observer, or needs a feature that these sources leave out
+ * (fluxobs_real.h). On an error the observer does not change. */
 fo_error fo_unpack(fo_observer *observer, const uint8_t *blob, uint32_t length);
 
 #if FO_ADAPTIVE
 enum {
     FO_ADAPTIVE_NUMBERS = FO_NUMBERS FO_ADAPTIVE_FIELDS(FO_COUNT_ARRAY, FO_COUNT_NUMBER) + 1,
-    /* the parameters' part of the factor, with weights, right-hand sides and estimates; their prior
-     * means; a checksum of the units */
+    /* the parameters' part of the factor, with weights, right-hand sides and estimates; the
+     * parameters' prior means; a checksum of the units */
     FO_SAVED_NUMBERS = FO_NP * (FO_NP - 1) / 2 + 3 * FO_NP + 3 + 1
 };
 #define FO_ADAPTIVE_PACKED_BYTES FO_BYTES(FO_ADAPTIVE_NUMBERS)
@@ -65,14 +67,15 @@ void fo_adaptive_pack(const fo_adaptive *observer, uint8_t blob[FO_ADAPTIVE_PACK
 fo_error fo_adaptive_unpack(fo_adaptive *observer, const uint8_t *blob, uint32_t length);
 
 /* Writes what has been learnt: magnet flux, resistance, inverter loss, offsets, inductances,
- * asymmetry, and their covariance. FO_SAVED_BYTES bytes. `observer` is the one in use now. */
+ * asymmetry, and their covariance. Writes FO_SAVED_BYTES bytes. `observer` is the observer in use
+ * now. */
 void fo_adaptive_save(const fo_adaptive *observer, const fo_adaptive_state *state,
                       uint8_t blob[FO_SAVED_BYTES]);
 
-/* Resets the state and restores what an observer of the same bases and standard deviations has
- * saved; its prior means may differ. `changed` is the std of the change of the resistance since
- * then, as a share of it: copper changes by 0.4 % a kelvin; 0.2 for a motor that was warm.
- * FO_ERROR_DAMAGED, FO_ERROR_OTHER: the state is reset, with the parameters at their prior. */
+/* Resets the state, and restores what an observer with the same bases and standard deviations has
+ * saved. The prior means may differ. `changed` is the std of the resistance's change since then, as
+ * a share of the resistance. Copper changes by 0.4 % a kelvin; use 0.2 for a motor that was warm.
+ * On FO_ERROR_DAMAGED and FO_ERROR_OTHER the state is reset, with the parameters at their prior. */
 fo_error fo_adaptive_restore(const fo_adaptive *observer, fo_adaptive_state *state,
                              const uint8_t *blob, uint32_t length, fo_real changed);
 #endif

@@ -5,53 +5,56 @@
 
 #include <string.h>
 
-/* ---- thresholds: unit, reason, and what fixed them --------------------------------------- */
+/* ---- thresholds: unit, reason, and what determined their value ----------------------------- */
 
-/* Rotation over which residuals are averaged to one measurement row: an eighth of a turn [rad].
- * Model errors are functions of the angle with harmonics up to the sixth: rows of shorter blocks
+/* Rotation over which residuals are averaged to one measurement row [rad]: an eighth of a turn.
+ * Model errors are functions of the angle with harmonics up to the sixth. Rows of shorter blocks
  * would repeat the same error and count as new information. */
 static const fo_real BLOCK = PI / (fo_real)4;
-/* A slower rotor ends a block after this time; the row's weight is its share of BLOCK
- * [memories]. */
+/* Time after which a block ends if the rotor is slow [memories]. The weight of its row is the share
+ * of BLOCK that the rotor has turned. */
 static const fo_real BLOCK_MAX = (fo_real)0.3;
-/* Std of a row from model errors: no machine satisfies its relation better [flux bases]. */
+/* Std of a row due to model errors [flux bases]: no machine satisfies its relation better. */
 static const fo_real MODEL = (fo_real)0.002;
-/* Share of the inverter's voltage that the model of its loss does not describe [1]. */
+/* Share of the inverter's voltage that the model of the loss does not describe [1]. */
 static const fo_real INVERTER_UNMODELLED = (fo_real)0.05;
-/* The same, in addition, where a current is within the knee of the harder sign [1]. */
+/* Additional share where a current is within the knee of the harder sign [1]. */
 static const fo_real KNEE_UNMODELLED = (fo_real)0.3;
 /* Time in which half of the information on a drift is forgotten [memories]. */
 static const fo_real DRIFT_MEMORY = (fo_real)100;
-/* Rows over which powers are averaged: two turns [1]. */
+/* Rows over which powers of innovations are averaged [1]: two turns. */
 static const fo_real ROWS = (fo_real)16;
-/* A power above this multiple of its average is clipped, and the drift returns to its prior: five
- * stds [1]. */
+/* A power above this multiple of its average is clipped, and the drift returns to its prior [1]:
+ * five stds. */
 static const fo_real CLIP = (fo_real)25;
-/* Rows after which that average is meaningful [1]. */
+/* Rows after which the average of the powers is meaningful [1]. */
 static const fo_real LEVEL_ROWS = (fo_real)8;
-/* Lower bound of that power for the flux: a fiftieth, a seventh of the std [1]. */
+/* Lower bound of that average for the flux [1]: a fiftieth, that is, a seventh of the std. */
 static const fo_real NOISE_LEVEL_MIN = (fo_real)0.02;
-/* Rows at one operating point repeat the same error: the n-th counts 1/n. A current that differs by
- * this share of the rated one, or a speed by this share of itself, makes a new point [1]. */
+/* Change of the current as a share of the rated current, or of the speed as a share of itself, that
+ * makes a new operating point [1]. Rows at one operating point repeat the same error: the n-th row
+ * counts 1/n. */
 static const fo_real NEW_POINT = (fo_real)0.3;
-/* Least information on the flux [1 / flux bases^2]: a std of a thousand times any flux. */
+/* Least information on the flux [1 / flux bases^2]: the std is a thousand times any flux. */
 static const fo_real INFORMATION_MIN = (fo_real)1e-6;
 /* Rows of a round, in which each parameter is forgotten and its prior re-injected once [1]. */
 static const uint32_t FORGETTING_ROUND = 16U;
-/* Between rows the position's variance is recomputed where the parameters may have added more than
- * this share to it [1]: the std would be an eighth too small. */
+/* Between rows the position's variance is computed again if the parameters may have added more than
+ * this share [1]. Otherwise the std would be an eighth too small. */
 static const fo_real GROWTH_MAX = (fo_real)0.25;
-/* Share of the square of the parameter-to-EMF ratio by which a start inflates flux and drift
+/* Share of the squared parameter-to-EMF ratio that a start adds to the variances of flux and drift
  * [1]. */
 static const fo_real START_SHARE_OF_EMF_RATIO = (fo_real)0.3;
 
-/* Process noise of a cage's flux against the model of i_d, as a share of it in a memory [1]: an
- * offset of 2 % of rated current moves it by 4 % within its time constant, three to thirty
- * memories. Without it valid rows were 10 degrees off (tests/observers/test_cage.py). */
+/* Process noise of a cage's flux relative to the model of i_d, as a share of the flux in a memory
+ * [1]. An offset of 2 % of rated current changes the flux by 4 % within its time constant, three to
+ * thirty memories. Without this noise, valid rows were wrong by 10 degrees
+ * (tests/observers/test_cage.py). */
 static const fo_real CAGE_WALK = (fo_real)0.01;
 /* Process noise of the resistance by heat, as a share of its prior std in a slow memory [1]: 5 % of
- * R_s in 100 s by default. With forgetting alone the estimate stays, and its std shrinks: while
- * copper warmed by 11 % in 40 s the estimate ended 26 stds off (tests/observers/test_heat.py). */
+ * R_s in 100 s by default. With forgetting alone the estimate would not change, and its std would
+ * shrink. While copper warmed by 11 % in 40 s, the estimate ended 26 stds off
+ * (tests/observers/test_heat.py). */
 static const fo_real HEAT_WALK = (fo_real)0.1;
 
 /* ---- parameters --------------------------------------------------------------------------- */
@@ -72,7 +75,7 @@ fo_real fo_learning_std(const fo_adaptive *a, const fo_adaptive_state *s, int n,
     return fo_sqrt(fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction));
 }
 
-/* Present estimate of the inverter's voltage loss, both parts [V]. */
+/* Present estimate of the inverter's voltage loss, both parts together [V]. */
 static fo_real inverter_loss(const fo_adaptive *a, const fo_adaptive_state *s)
 {
     return TWO * a->inverter_mean + fo_learning_value(a, s, FO_INVERTER) +
@@ -86,8 +89,8 @@ fo_real fo_learning_unmodelled_voltage(const fo_adaptive *a, const fo_adaptive_s
     return share * fo_sqrt(mean * mean + std * std) * a->volt / a->plain.h;
 }
 
-/* Linearises the map at the filter's own angle: the guard's may differ. A cage's map does not
- * depend on the angle. */
+/* Linearises the map at the filter's own angle, because the guard's angle may differ. A cage's map
+ * does not depend on the angle. */
 static void linearise_map(const fo_adaptive *a, fo_adaptive_state *s)
 {
 #if FO_MAPPED
@@ -103,17 +106,16 @@ static void linearise_map(const fo_adaptive *a, fo_adaptive_state *s)
 #endif
 }
 
-/* The position vector, and what the relation needs to be linearised there. */
+/* Position vector and derivatives at which the relation is linearised. */
 typedef struct {
-    fo_real current[FO_N];      /* offset removed                                            */
+    fo_real current[FO_N];      /* current without offset                                    */
     fo_real x[FO_N], length;    /* position vector                                           */
-    fo_real direction[FO_N];    /* its direction: the d axis                                 */
-    fo_real armature_flux[2];   /* flux of the current along d and q, by the inductances     */
-                                /* assumed                                                   */
-    fo_real length_by_current;  /* part of the length that the current makes: saliency       */
+    fo_real direction[FO_N];    /* direction of the position vector: the d axis              */
+    fo_real armature_flux[2];   /* flux of the current along d, q                            */
+    fo_real length_by_current;  /* part of the length due to the current: saliency           */
 } linearisation_point;
 
-/* Component of v across `along`, a unit vector. */
+/* Component of v across the unit vector `along`. */
 static fo_real component_across(const fo_real along[FO_N], const fo_real v[FO_N])
 {
     return along[0] * v[1] - along[1] * v[0];
@@ -151,7 +153,8 @@ static void linearise(const fo_adaptive *a, const fo_adaptive_state *s, linearis
     point->direction[0] = point->x[0] / point->length;
     point->direction[1] = point->x[1] / point->length;
 #if FO_MAPPED
-    if (has_map(o)) { /* from the direction at which the map is linearised to the present one */
+    if (has_map(o)) { /* convert from the direction of the map's linearisation to the present
+                       * direction */
         const fo_real off = component_across(f->direction, point->direction) * point->length;
         point->length_by_current +=
             wrong_d * point->armature_flux[0] - component_across(f->direction, f->by_flux) * off;
@@ -165,7 +168,7 @@ static void linearise(const fo_adaptive *a, const fo_adaptive_state *s, linearis
     }
 }
 
-/* Gradients of the residual by the flux and, negative, by the current. */
+/* Gradient of the residual by the flux, and negative gradient by the current. */
 static void residual_gradients(const fo_adaptive *a, const fo_adaptive_state *s,
                                const linearisation_point *point, fo_real by_flux[FO_N],
                                fo_real by_current[FO_N]) {
@@ -190,7 +193,8 @@ static void residual_gradients(const fo_adaptive *a, const fo_adaptive_state *s,
     }
 }
 
-/* Updates one of the three reported stds; a row updates one, since each costs a substitution. */
+/* Updates one of the three reported stds. A row updates only one, because each std costs a
+ * substitution. */
 static void update_reported_std(const fo_adaptive *a, fo_adaptive_state *s, uint32_t n)
 {
     if (n == 0U) {
@@ -221,7 +225,7 @@ void fo_learning_reset(const fo_adaptive *a, fo_adaptive_state *s)
 
 static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
 
-/* Std of the voltage at this current, from the errors of the parameters. */
+/* Std of the voltage at this current due to errors of the parameters. */
 static void update_voltage_std(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t)
 {
     fo_real direction[FO_NA] = {0};
@@ -241,7 +245,7 @@ void fo_learning_update_emf_ratio(const fo_adaptive *a, fo_adaptive_state *s, co
     }
     const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
     fo_real flux_std = s->voltage_std * a->plain.h;
-    if (square > s->voltage_std_square && s->voltage_std_square > ZERO) { /* it has grown */
+    if (square > s->voltage_std_square && s->voltage_std_square > ZERO) { /* larger now */
         flux_std *= fo_sqrt(square / s->voltage_std_square);
     }
     const fo_real decay = turned < ONE ? turned : ONE;
@@ -253,16 +257,16 @@ void fo_learning_update_emf_ratio(const fo_adaptive *a, fo_adaptive_state *s, co
     }
 }
 
-/* ---- prediction: the information factor over a block
- * ------------------------------------------ */
+/* ---- prediction: the information factor over a block ----------------------------------------- */
 
-/* Adds process noise of this variance to both components of the flux: the information L on the flux
- * becomes (1 / L + variance)^-1; that on the other unknowns, with the flux eliminated, stays. */
+/* Adds process noise of this variance to both components of the flux. The information L on the flux
+ * becomes (1 / L + variance)^-1. The information on the other unknowns, with the flux eliminated,
+ * does not change. */
 static void add_flux_process_noise(fo_adaptive_state *s, fo_real variance)
 {
     fo_real *first = &s->U[0], *second = &s->U[FO_ROW(FO_NA, 1)];
     const fo_real u = first[0], d0 = s->d[0], d1 = s->d[1];
-    /* the two rows written out, without a difference of large numbers */
+    /* the formulas for the two rows avoid a difference of large numbers */
     const fo_real a = ONE + variance * d0, b = ONE + variance * d1, square = d0 * u * u;
     const fo_real det = a * b + variance * square, u_new = u / b;
     const fo_real m0 = d0 * b / det, m1 = d1 * (a + square * variance / b) / det;
@@ -274,12 +278,13 @@ static void add_flux_process_noise(fo_adaptive_state *s, fo_real variance)
     }
 }
 
-/* Propagates the factor to the end of the block: flux there = flux + time drift + sensitivity p. */
+/* Propagates the factor to the end of the block, where the flux is flux + time drift + sensitivity
+ * p. */
 static void propagate(fo_adaptive_state *s, const fo_block *b)
 {
     for (int i = 0; i < FO_N; i++) {
         const fo_real by_flux[FO_N] = {i == 0 ? ONE : ZERO, i == 0 ? s->U[0] : ONE};
-        fo_real *row = &s->U[FO_AT(FO_NA, i, FO_N)]; /* from the drift on */
+        fo_real *row = &s->U[FO_AT(FO_NA, i, FO_N)]; /* elements from the drift on */
         for (int j = 0; j < FO_N; j++) {
             row[j] -= b->time * by_flux[j];
         }
@@ -305,7 +310,7 @@ static void reset_block(fo_adaptive_state *s)
     s->now.block.theta = s->theta;
 }
 
-/* Flux error that an error of a parameter makes in steady state: sensitivity / (j turned). */
+/* Flux error that a parameter error causes in steady state: sensitivity / (j turned). */
 static void steady_state_coupling(const fo_real sensitivity[FO_N], fo_real turned,
                                   fo_real coupling[FO_N])
 {
@@ -317,7 +322,7 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
                        const fo_manifold *m, fo_real inflation, const fo_interval *t)
 {
     const fo_real psi = fo_sqrt(c->p[FO_NM - 1]), speed = a->plain.sample_time * s->tracker.speed;
-    /* at least a radian a memory: below, the drift is unidentifiable */
+    /* at least a radian per memory; at lower speed the drift is unidentifiable */
     const fo_real h = a->plain.h;
     const fo_real turned = fo_abs(speed) > h ? speed : speed < ZERO ? -h : h;
     linearisation_point point;
@@ -361,7 +366,7 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
     }
     add_flux_process_noise(
         s, START_SHARE_OF_EMF_RATIO * s->emf_ratio * s->emf_ratio * point.length * point.length);
-    for (int i = FO_N; i < (int)FO_NF; i++) { /* and the drift by that of its voltage */
+    for (int i = FO_N; i < (int)FO_NF; i++) { /* drift, with its voltage error */
         const fo_real variance = START_SHARE_OF_EMF_RATIO * s->voltage_std * s->voltage_std;
         s->d[i] /= ONE + s->d[i] * variance;
     }
@@ -408,8 +413,8 @@ static void add_sample(const fo_adaptive *a, const fo_adaptive_state *s,
     b->samples++;
 }
 
-/* Tests the innovation of a row, flux and drift eliminated, against its variance; averages its
- * power. Returns whether it is an outlier, as after a jump of the drift. */
+/* Compares the innovation of a row, after elimination of flux and drift, with its variance.
+ * Averages its power. Returns whether the row is an outlier, as after a jump of the drift. */
 static bool test_innovation(fo_adaptive_state *s, const fo_real row[FO_NA], fo_real innovation,
                             fo_real information, fo_real share)
 {
@@ -432,7 +437,8 @@ static bool test_innovation(fo_adaptive_state *s, const fo_real row[FO_NA], fo_r
     return outlier;
 }
 
-/* Counts the row at the present operating point; returns the number of rows there, at least 1. */
+/* Counts the row at the present operating point. Returns the number of rows at this point, at least
+ * 1. */
 static fo_real count_rows_at_point(const fo_adaptive *a, fo_adaptive_state *s,
                                    const linearisation_point *point, fo_real speed, fo_real share) {
     const fo_real now[3] = {dot(point->direction, point->current),
@@ -453,16 +459,16 @@ static fo_real count_rows_at_point(const fo_adaptive *a, fo_adaptive_state *s,
     return s->rows_at_point > ONE ? s->rows_at_point : ONE;
 }
 
-/* Adds process noise of this variance to the resistance; the information on the other parameters,
- * with the resistance eliminated, stays. Its random step w is an unknown, R before was R - w, that
- * is eliminated from the rows which contain R. */
+/* Adds process noise of this variance to the resistance. The information on the other parameters,
+ * with the resistance eliminated, does not change. The random step w of R is an unknown: R - w, the
+ * earlier R, replaces R in the rows, and w is eliminated. */
 static void add_resistance_process_noise(fo_adaptive_state *s, fo_real variance)
 {
     const int psi = FO_NF + (int)FO_PSI, r = FO_NF + (int)FO_RESISTANCE;
     fo_real *row_psi = &s->U[FO_AT(FO_NA, psi, r)];
     const fo_real *row_r = &s->U[FO_AT(FO_NA, r, r + 1)];
     const fo_real share = row_psi[0], step = ONE + variance * s->d[r];
-    const fo_real gain = -variance * s->d[r] / step; /* of the row of R in that of w */
+    const fo_real gain = -variance * s->d[r] / step; /* gain of the row of R in the row of w */
     s->d[psi] /= ONE + variance * share * share * s->d[psi] / step;
     s->d[r] /= step;
     s->z[psi] += share * gain * s->z[r];
@@ -474,7 +480,7 @@ static void add_resistance_process_noise(fo_adaptive_state *s, fo_real variance)
 
 void fo_learning_widen_resistance(const fo_adaptive *a, fo_adaptive_state *s, fo_real stds)
 {
-    const fo_real limit = (fo_real)1e3; /* the prior is negligible; also instead of NaN */
+    const fo_real limit = (fo_real)1e3; /* above it, the prior is negligible; also replaces NaN */
     const fo_real std = fo_abs(stds) < limit ? stds : limit;
     add_resistance_process_noise(s, std * std);
     for (uint32_t n = 0U; n < 3U; n++) {
@@ -482,10 +488,10 @@ void fo_learning_widen_resistance(const fo_adaptive *a, fo_adaptive_state *s, fo
     }
 }
 
-/* Moves the prior mean of a parameter by `shift` stds. What the data determine stays where it is;
- * what the prior determines moves along. With A the information matrix, of which the prior is 1,
- * and A p = b, this is b <- b - (A - 1) shift: z = U p loses `shift` times its column, and b gains
- * the part of the prior. */
+/* Moves the prior mean of a parameter by `shift` stds. Values that the data determine do not
+ * change; values that the prior determines move with it. Let A be the information matrix, in which
+ * the prior is 1, and A p = b. Then b becomes b - (A - 1) shift: z = U p decreases by `shift` times
+ * its column, and b gains the part of the prior. */
 static void move_prior_mean(fo_adaptive_state *s, int n, fo_real shift)
 {
     const int column = FO_NF + n;
@@ -510,7 +516,7 @@ static void move_prior_mean(fo_adaptive_state *s, int n, fo_real shift)
             s->p[j - (int)FO_NF] += after[j];
         }
     }
-    after[column] += shift; /* change of the values, not of the errors */
+    after[column] += shift; /* the value changes, not its error */
     if (s->running) {
         fo_solve(FO_NA, s->U, s->z, 0, FO_NF, after);
         for (int i = 0; i < FO_N; i++) {
@@ -541,8 +547,8 @@ void fo_learning_move_prior_means(const fo_adaptive *a, fo_adaptive_state *s,
     }
 }
 
-/* Forgets the parameters towards their prior: in a round of rows all information fades once, and
- * the prior of each parameter is re-injected once. */
+/* Forgets the parameters towards their prior. In a round of rows all information is forgotten once,
+ * and the prior of each parameter is re-injected once. */
 static void forget_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_real time)
 {
     s->forgotten += time * a->slow;
@@ -560,12 +566,12 @@ static void forget_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_rea
         add_resistance_process_noise(s, HEAT_WALK * HEAT_WALK * s->forgotten_before);
         s->forgotten = ZERO;
     } else {
-        /* a row of the round without work */
+        /* no work in this row of the round */
     }
 }
 
-/* Moves a solution of the parameters to the most likely one with an inverter loss of zero where the
- * loss is negative: no inverter adds voltage. */
+/* If the estimated inverter loss is negative, moves the solution to the most likely parameters with
+ * a loss of zero, because no inverter adds voltage. */
 static void constrain_inverter_loss(const fo_adaptive *a, const fo_adaptive_state *s,
                                     fo_real x[FO_NA]) {
     const fo_real volts = TWO * a->inverter_mean + a->std[FO_INVERTER] * x[FO_NF + FO_INVERTER] +
@@ -575,7 +581,7 @@ static void constrain_inverter_loss(const fo_adaptive *a, const fo_adaptive_stat
         direction[FO_NF + FO_INVERTER] = a->std[FO_INVERTER];
         direction[FO_NF + FO_INVERTER + 1] = a->std[FO_INVERTER + 1];
         const fo_real variance = fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
-        for (int j = FO_NF; j < FO_NA; j++) { /* the direction is now y, U'y = direction */
+        for (int j = FO_NF; j < FO_NA; j++) { /* computes y, where U'y = direction */
             y[j] = direction[j] / s->d[j];
         }
         fo_solve(FO_NA, s->U, y, FO_NF, FO_NA, direction);
@@ -585,12 +591,12 @@ static void constrain_inverter_loss(const fo_adaptive *a, const fo_adaptive_stat
     }
 }
 
-/* Measurement update of the parameters by a row from which flux and drift are eliminated. */
+/* Measurement update of the parameters by a row without flux and drift. */
 static void update_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA],
                               fo_real innovation, fo_real information)
 {
     fo_real rhs = innovation, weight = information, x[FO_NA];
-    for (int j = 0; j < FO_NP; j++) { /* from the prior mean */
+    for (int j = 0; j < FO_NP; j++) { /* relative to the prior mean */
         rhs += row[FO_NF + j] * s->p[j];
     }
     fo_add_row_to(FO_NA, s->U, s->d, s->z, FO_NF, FO_NF + FO_CURVE, row, &rhs, &weight);
@@ -601,7 +607,8 @@ static void update_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_rea
     }
 }
 
-/* Flux and drift of the row, given the change of the parameters; re-linearises about them. */
+/* Updates flux and drift by the row, given the change of the parameters. Linearises again at the
+ * new values. */
 static void update_flux(fo_adaptive_state *s, const fo_real before[FO_NP])
 {
     fo_real x[FO_NA];
@@ -623,10 +630,10 @@ fo_real fo_learning_variance_growth(const fo_adaptive_state *s)
     return std * std;
 }
 
-/* Marginal variance of the flux across the position vector: with L_q known, and the part of L_q.
- * Since the last row the drift has moved the flux by its time, and each parameter by its
- * sensitivity. At steady load the row has correlated these with the flux, and they add next to
- * nothing; after a change of load they add all that they can. */
+/* Marginal variance of the flux across the position vector: one part with L_q known, and the part
+ * of L_q. Since the last row the drift has moved the flux in proportion to time, and each parameter
+ * in proportion to its sensitivity. At steady load the row has correlated these errors with the
+ * flux, and they add almost nothing. After a change of load they add their whole variance. */
 static void update_marginal_variance(const fo_adaptive *a, fo_adaptive_state *s,
                                      const linearisation_point *point) {
     enum { L_Q = (int)FO_NF + (int)FO_INDUCTANCE + 1, TAIL = (int)FO_NA - L_Q };
@@ -656,7 +663,7 @@ static void update_marginal_variance(const fo_adaptive *a, fo_adaptive_state *s,
     s->variance_time = b->time;
 }
 
-/* Time update over the block, with the process noise of what no parameter describes. */
+/* Time update over the block. The process noise includes effects that no parameter describes. */
 static void predict_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_block *b)
 {
     const fo_real step = a->unmodelled * b->time;
@@ -669,8 +676,8 @@ static void predict_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_b
     forget_drift(a, s, b->time);
 }
 
-/* Regressor of the block's averaged residual, for flux and drift at its end; returns minus that
- * residual, the innovation. */
+/* Regressor of the block's averaged residual, for flux and drift at the block's end. Returns the
+ * innovation, which is minus that residual. */
 static fo_real block_row(const fo_block *b, fo_real row[FO_NA])
 {
     const fo_real over = ONE / (fo_real)b->samples;
@@ -684,8 +691,8 @@ static fo_real block_row(const fo_block *b, fo_real row[FO_NA])
     return -b->residual * over;
 }
 
-/* Measurement update by the block's row: of flux and drift first, then of the parameters. Its
- * weight is its `share` of a full block. */
+/* Measurement update by the block's row: first of flux and drift, then of the parameters. The
+ * weight is the row's `share` of a full block. */
 static void update_measurement(const fo_adaptive *a, fo_adaptive_state *s, fo_real turned,
                                fo_real share)
 {
@@ -700,7 +707,7 @@ static void update_measurement(const fo_adaptive *a, fo_adaptive_state *s, fo_re
     const bool informative = information > ZERO;
     const bool outlier = informative && test_innovation(s, row, innovation, information, share);
     if (outlier) {
-        forget_drift(a, s, DRIFT_MEMORY); /* all of it */
+        forget_drift(a, s, DRIFT_MEMORY); /* forget the drift completely */
     }
     linearise(a, s, &point);
     const fo_real speed = turned / b->time, unmodelled = b->unmodelled / b->time;
@@ -720,7 +727,7 @@ static void update_measurement(const fo_adaptive *a, fo_adaptive_state *s, fo_re
     update_flux(s, before);
 }
 
-/* Ends a block: prediction over it, measurement update, and the variances of the new estimate. */
+/* Ends a block: prediction over the block, measurement update, variances of the new estimate. */
 static void finish_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
                          fo_real turned)
 {
@@ -740,7 +747,7 @@ static void finish_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_in
     update_reported_std(a, s, s->report_index);
 }
 
-/* Is the estimate finite, and the flux one that a machine can have? */
+/* Is the estimate finite, and the flux plausible? */
 static bool is_plausible(const fo_adaptive_state *s)
 {
     fo_real sum = s->noise_level + s->innovation_power + s->variance_across;
@@ -783,7 +790,7 @@ fo_real fo_learning_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_in
         } else if (fo_learning_variance_growth(s) > GROWTH_MAX * s->variance_across) {
             update_marginal_variance(a, s, &point);
         } else {
-            /* the last variance still holds */
+            /* the last variance is still valid */
         }
         const fo_real change =
             a->std[FO_INDUCTANCE + 1] * (point.armature_flux[1] - s->armature_flux_q);

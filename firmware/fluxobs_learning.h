@@ -19,12 +19,12 @@
 #define fo_learning_prior_means FO_NAME(fo_learning_prior_means)
 #define fo_learning_move_prior_means FO_NAME(fo_learning_move_prior_means)
 
-/* Parameter-to-EMF ratio above which another angle explains the data as well [1]: at twice it, four
- * stds, the EMF could point the other way. */
+/* Parameter-to-EMF ratio above which another angle explains the data equally well [1]. At twice
+ * this ratio, which is four stds, the EMF could have the opposite direction. */
 #define EMF_RATIO_LIMIT ((fo_real)0.5)
 
-/* One interval, per-unit: its volt-seconds, corrected by the parameters, and their change with one
- * prior std of each parameter. */
+/* One interval, per-unit: its volt-seconds, corrected by the parameters, and the change of the
+ * volt-seconds with one prior std of each parameter. */
 typedef struct {
     fo_real v[FO_N];
     fo_real sensitivity[FO_NP][FO_N];
@@ -34,25 +34,27 @@ typedef struct {
 void fo_learning_reset(const fo_adaptive *observer, fo_adaptive_state *state);
 
 /* Starts the filter at a candidate, with the covariance of its Gauss-Newton fit times `inflation`.
- * `interval` is the last one. The parameters keep their estimates. */
+ * `interval` is the last interval. The parameters keep their estimates. */
 void fo_learning_start(const fo_adaptive *observer, fo_adaptive_state *state,
                        const fo_candidate *candidate, const fo_manifold *information,
                        fo_real inflation, const fo_interval *interval);
 
-/* Steps the filter over an interval; where that ends a block, updates it by the block's row.
- * Returns the length of the position vector; 0 if the state is not plausible any more. */
+/* Steps the filter over an interval. If the interval ends a block, updates the filter by the
+ * block's row. Returns the length of the position vector, or 0 if the state has become
+ * implausible. */
 fo_real fo_learning_step(const fo_adaptive *observer, fo_adaptive_state *state,
                          const fo_interval *interval, bool measured);
 
-/* Variance that the parameters may have added to the flux since variance_across was computed. */
+/* Variance of the flux that the parameters may have added after the computation of
+ * variance_across. */
 fo_real fo_learning_variance_growth(const fo_adaptive_state *state);
 
-/* Updates the parameter-to-EMF ratio: the angle by which errors of the parameters may have turned
- * the flux. It accumulates until the rotor has turned by a radian. */
+/* Updates the parameter-to-EMF ratio: the angle by which parameter errors may have turned the flux.
+ * The ratio accumulates until the rotor has turned by a radian. */
 void fo_learning_update_emf_ratio(const fo_adaptive *observer, fo_adaptive_state *state,
                                   const fo_interval *interval, fo_real length, fo_real turned);
 
-/* Voltage of the inverter that its model does not describe, per-unit. */
+/* Voltage of the inverter that the model does not describe, per-unit. */
 fo_real fo_learning_unmodelled_voltage(const fo_adaptive *observer, const fo_adaptive_state *state);
 
 /* Estimate of a parameter [its unit]. */
@@ -63,17 +65,18 @@ fo_real fo_learning_value(const fo_adaptive *observer, const fo_adaptive_state *
 fo_real fo_learning_std(const fo_adaptive *observer, const fo_adaptive_state *state, int n,
                         int count, fo_real curve);
 
-/* Adds process noise of this std, in prior stds, to the resistance: it may have changed with the
+/* Adds process noise of this std, in prior stds, to the resistance, which may have changed with the
  * temperature. */
 void fo_learning_widen_resistance(const fo_adaptive *observer, fo_adaptive_state *state,
                                   fo_real stds);
 
-/* Prior means that a new configuration may change: magnet flux, resistance [Ohm], half the
+/* Prior means that may change with a new configuration: magnet flux, resistance [Ohm], half the
  * inverter's loss [V]. */
 enum { FO_PRIOR_MEANS = 3 };
 void fo_learning_prior_means(const fo_adaptive *observer, fo_real means[FO_PRIOR_MEANS]);
 
-/* Keeps the estimates where the prior means have moved: their errors move the other way. */
+/* Keeps the estimates if the prior means have changed: the estimated errors change by the opposite
+ * amount. */
 void fo_learning_move_prior_means(const fo_adaptive *observer, fo_adaptive_state *state,
                                   const fo_real before[FO_PRIOR_MEANS]);
 

@@ -5,7 +5,7 @@
 
 enum { D = 0, Q = 1, ORDER = 3 };
 
-/* sin(x), |x| <= pi/2. Abramowitz and Stegun, 4.3.97. */
+/* sin(x), |x| <= pi/2: Abramowitz and Stegun, 4.3.97. */
 static fo_real sine(fo_real x)
 {
     const fo_real s = x * x;
@@ -24,14 +24,15 @@ void fo_direction(fo_real angle, fo_real direction[2])
     direction[1] = angle < ZERO ? -up : up;
 }
 
-/* Cell of a current in the table: index of the first of three coefficients, and the weights of the
- * first and the last against the middle one, for the value and for its derivative. */
+/* Cell of a current in the table: index of the first of three coefficients, and weights of the
+ * first and the last coefficient relative to the middle one, for the value and for its
+ * derivative. */
 typedef struct {
     int32_t first;
     fo_real low, high, slope_low, slope_high;
 } cell;
 
-/* Locates a current in one axis of the table; returns its distance outside the table [A]. */
+/* Locates a current along one axis of the table. Returns its distance outside the table [A]. */
 static fo_real locate(fo_real current, fo_real least, fo_real most, fo_real over, int32_t nodes,
                     cell *p)
 {
@@ -125,7 +126,7 @@ bool fo_map_good(const fo_map *map)
         good = good && map->decay > ZERO && map->decay < ONE && map->still > ZERO &&
                map->ripple > ZERO;
     } else {
-        /* any numbers will do */
+        /* a linear map may have any finite numbers */
     }
     return good;
 }

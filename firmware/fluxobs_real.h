@@ -1,7 +1,7 @@
-/* Compile-time choices for all sources: the number type, and features that a machine does not need.
- * The names of functions and types depend on them, so that a mixture does not link.
+/* Compile-time choices for all sources: the number type, and features that a machine may not need.
+ * The names of functions and types depend on the choices, so that a mixture does not link.
  *
- * * SPDX-License-Identifier: MIT
+ * SPDX-License-Identifier: MIT
  */
 #ifndef FLUXOBS_REAL_H
 #define FLUXOBS_REAL_H
@@ -10,35 +10,38 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* 1: single precision; 0: double. An export sets 1; -DFO_SINGLE=0 for all files overrules it. */
+/* 1: single precision; 0: double. An export sets 1; -DFO_SINGLE=0 for all files overrides it. */
 #ifndef FO_SINGLE
 #define FO_SINGLE 0
 #endif
 
-/* 0 leaves flux maps out: less memory and time. An export does so for a machine without one. */
+/* 0 leaves out flux maps, which saves memory and time. An export sets 0 for a machine without a
+ * map. */
 #ifndef FO_MAPPED
 #define FO_MAPPED 1
 #endif
 
-/* 0 leaves the asymmetry of the phases out: less memory and time, the same numbers as with
- * asymmetry_std = 0. An export does so where the asymmetry is not an unknown. */
+/* 0 leaves out the asymmetry of the phases, which saves memory and time. The numbers are the same
+ * as with asymmetry_std = 0. An export sets 0 where the asymmetry is not an unknown. */
 #ifndef FO_ASYMMETRIC
 #define FO_ASYMMETRIC 1
 #endif
 
-/* 1 takes the machine's matrices for numbers times the identity, and its relation for one without
- * linear terms: less time, the same numbers. An export does so for every machine of this kind. */
+/* 1 assumes that the machine's matrices are multiples of the identity, and that its relation has no
+ * linear terms. This saves time; the numbers are the same. An export sets 1 for every machine of
+ * this kind. */
 #ifndef FO_ISOTROPIC
 #define FO_ISOTROPIC 0
 #endif
 
-/* 0 leaves out voltages that are held over a sample: less time, the same numbers as with
- * kink_now = 0. An export does so where that is 0. */
+/* 0 leaves out voltages that are held over a sample, which saves time. The numbers are the same as
+ * with kink_now = 0. An export sets 0 where kink_now is 0. */
 #ifndef FO_HELD
 #define FO_HELD 1
 #endif
 
-/* 0 where the plain observer is alone: configuration, seeds and what is kept then know no other. */
+/* 0 if only the plain observer is used: configuration, seeds and storage then do not support the
+ * adaptive observer. */
 #ifndef FO_ADAPTIVE
 #define FO_ADAPTIVE 1
 #endif

@@ -60,7 +60,7 @@ void fo_adaptive_retunable_init(fo_adaptive_retunable *r, const fo_adaptive *fir
     r->ready = 0U;
 }
 
-/* The same for the learnt parameters; prior means of the inductances cannot be moved. */
+/* Have the learnt parameters the same units? Prior means of the inductances must not change. */
 static bool same_learnt_units(const fo_adaptive *a, const fo_adaptive *b)
 {
     bool good = same_units(&a->plain, &b->plain) && equal(a->saliency, b->saliency) &&
@@ -110,7 +110,7 @@ const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *r, fo_adaptive_state 
 void fo_publish(fo_snapshot *s, const fo_estimate *estimate)
 {
     const uint32_t before = s->begun;
-    const uint32_t count = before < UINT32_MAX ? before + 1U : 1U; /* 0: none yet */
+    const uint32_t count = before < UINT32_MAX ? before + 1U : 1U; /* 0: no estimate exists yet */
     s->begun = count;
     FO_BARRIER();
     s->estimate = *estimate;

@@ -1,8 +1,8 @@
-/* fluxobs, changes while the drive runs: resistance, inverter voltage, magnet flux, limits; and an
- * estimate that slower tasks read.
+/* fluxobs, changes while the drive runs: resistance, inverter voltage, magnet flux and limits may
+ * change. Also an estimate that slower tasks read.
  *
- * A task prepares the changed observer beside the one in use; the interrupt takes it between two
- * steps. The state is kept.
+ * A task prepares the changed observer beside the observer in use. Between two steps, the interrupt
+ * takes the changed observer. The state is kept.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -34,7 +34,7 @@ extern "C" {
 #define fo_adaptive_take FO_NAME(fo_adaptive_take)
 #endif
 
-/* Keeps the order of memory accesses around it, for other cores too. */
+/* Keeps the order of memory accesses before and after this barrier, also for other cores. */
 #ifndef FO_BARRIER
 #if defined(__GNUC__)
 #define FO_BARRIER() __atomic_thread_fence(__ATOMIC_SEQ_CST)
@@ -45,28 +45,29 @@ extern "C" {
 
 /* ---- another configuration --------------------------------------------------------------- */
 
-/* The observer in use, and room for its successor. Treat it as opaque. */
+/* The observer in use, and memory for its successor. Treat this struct as opaque. */
 typedef struct {
     fo_observer both[2];
     volatile uint32_t active; /* only the interrupt writes it   */
     volatile uint32_t ready;  /* only the task writes it        */
 } fo_retunable;
 
-/* Before the interrupt runs. `first` may be an export's observer. */
+/* Call this before the interrupt runs. `first` may be an export's observer. */
 void fo_retunable_init(fo_retunable *retunable, const fo_observer *first);
 
-/* In a task: prepares another configuration. Sample time, memory, Q1, flux_base and constraint_base
- * must be those of the observer in use, since they are the units of the state: change a copy of its
- * configuration. FO_ERROR_BUSY: the interrupt has not yet taken the last one. */
+/* For a task: prepares another configuration. Change a copy of the configuration in use, but keep
+ * sample time, memory, Q1, flux_base and constraint_base: they are the units of the state.
+ * FO_ERROR_BUSY: the interrupt has not yet taken the last configuration. */
 fo_error fo_retune(fo_retunable *retunable, const fo_config *config);
 
-/* In the interrupt, before its step: the observer to use from now on. */
+/* For the interrupt, before its step: returns the observer to use from now on. */
 const fo_observer *fo_take(fo_retunable *retunable);
 
 #if FO_ADAPTIVE
-/* The same for the adaptive observer. Where a prior mean moves, the estimated error moves the other
- * way, so that the estimate stays; what the data have not determined follows the new prior mean.
- * Standard deviations and inductances must stay. psi_f may change, flux_base may not. */
+/* The same functions for the adaptive observer. If a prior mean changes, the estimate stays: its
+ * estimated error changes by the opposite amount. What the data have not determined follows the new
+ * prior mean. Standard deviations and inductances must not change. psi_f may change, flux_base must
+ * not. */
 typedef struct {
     fo_adaptive both[2];
     volatile uint32_t active;
@@ -81,17 +82,17 @@ const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *retunable, fo_adaptiv
 
 /* ---- an estimate for slower tasks -------------------------------------------------------- */
 
-/* An estimate that the interrupt writes and tasks read. Zero it before use. */
+/* An estimate that the interrupt writes and tasks read. Set this struct to zero before use. */
 typedef struct {
     fo_estimate estimate;
     volatile uint32_t begun, ended; /* how often it has been written */
 } fo_snapshot;
 
-/* In the interrupt, after its step. */
+/* For the interrupt: call this after its step. */
 void fo_publish(fo_snapshot *snapshot, const fo_estimate *estimate);
 
-/* In a task: copies the last estimate whole. Returns false if there is none yet, or if interrupts
- * came in between four times. */
+/* For a task: copies the whole last estimate. Returns false if no estimate exists yet, or if
+ * interrupts disturbed four reads. */
 bool fo_read(const fo_snapshot *snapshot, fo_estimate *estimate);
 
 #ifdef __cplusplus

@@ -8,16 +8,16 @@
 
 #include <string.h>
 
-/* Default std of the length, as a share of it: a quarter, as for a magnet flux from a data sheet
- * [1]. */
+/* Default std of the length, as a share of it [1]: a quarter, as for a magnet flux from a data
+ * sheet. */
 static const fo_real LENGTH_SHARE = (fo_real)0.25;
-/* Smallest std of a seed's angle [rad]: no sensor is mounted to better than 0.06 degrees, and
- * larger information exceeds single precision. */
+/* Smallest std of a seed's angle [rad]: no sensor is mounted to better than 0.06 degrees. The
+ * information of a smaller std exceeds single precision. */
 static const fo_real STD_MIN = (fo_real)1e-3;
 
-/* Largest std of an angle that enters the least squares: 20 degrees [rad]; a rougher one is only
- * integrated. With half a radian 3 of 60 starts of an induction machine were sure and wrong, up to
- * 15 degrees (benchmarks/seeds.py has Hall sensors, 17 degrees). */
+/* Largest std of an angle that enters the least squares [rad]: 20 degrees. A less certain angle is
+ * only integrated. With half a radian, 3 of 60 starts of an induction machine were sure and wrong,
+ * by up to 15 degrees (benchmarks/seeds.py has Hall sensors, 17 degrees). */
 static const fo_real ROUGH_STD = (fo_real)0.35;
 
 #if FO_ADAPTIVE
@@ -29,7 +29,7 @@ static const fo_real INFORMATION_MIN = (fo_real)1e-6;
 typedef struct {
     fo_real theta, std;          /* [rad] */
     fo_real length, length_std;
-    fo_real direction[FO_N];     /* of the rotor */
+    fo_real direction[FO_N];     /* direction of the rotor */
     fo_real flux[FO_N];
 } seed_point;
 
@@ -41,7 +41,7 @@ static void per_unit(const fo_observer *o, const fo_seed *seed, seed_point *poin
     point->length = fo_abs(length) > ZERO ? length : ONE;
     const fo_real share = seed->psi_f_std / o->flux_base;
     point->length_std = share > ZERO ? share : LENGTH_SHARE * fo_abs(point->length);
-    /* cosine and sine of the angle, from those of half of it, which is within a quarter turn */
+    /* cosine and sine of the angle by the half angle, which is within a quarter turn */
     const fo_real axis[FO_N] = {ONE, ZERO};
     fo_real quarter[FO_N], half[FO_N];
     turn(axis, point->theta / (fo_real)4, quarter);
@@ -50,7 +50,7 @@ static void per_unit(const fo_observer *o, const fo_seed *seed, seed_point *poin
     point->direction[1] = TWO * half[0] * half[1];
 }
 
-/* The observer's angle is that of the position vector: a negative length turns it by half a
+/* The observer's angle is that of the position vector. A negative length turns the vector by half a
  * turn. */
 static void make_length_positive(seed_point *point)
 {
@@ -62,7 +62,7 @@ static void make_length_positive(seed_point *point)
     }
 }
 
-/* Measurement row of the seed, across the position vector or along it. */
+/* Measurement row of the seed, either across the position vector or along it. */
 static void row_of_seed(const seed_point *point, bool along, fo_real row[FO_N],
                         fo_real *information) {
     const fo_real curved = point->length * point->std * point->std / TWO; /* an arc, not a line */
@@ -73,7 +73,7 @@ static void row_of_seed(const seed_point *point, bool along, fo_real row[FO_N],
     *information = ONE / (std * std);
 }
 
-/* Can an observer start from the seed? */
+/* Can an observer start from this seed? */
 static bool is_usable(const fo_observer *o, const fo_seed *seed, const seed_point *point,
                    const fo_real current[FO_N])
 {
@@ -119,11 +119,12 @@ static void start_plain(const fo_observer *o, fo_state *s, const fo_seed *seed,
             (void)fo_add_row(&s->info, row, dot(&row[FLUX], point->flux), information, (int)FLUX);
         }
     }
-    s->have_trusted_flux = true; /* the flux is integrated from here */
+    s->have_trusted_flux = true; /* integrate the flux from here */
     s->variance = point->std * point->std;
 }
 
-/* Resets the plain observer's state, and starts it if the seed is usable; returns whether it is. */
+/* Resets the plain observer's state. Starts the observer if the seed is usable; returns whether the
+ * seed is usable. */
 static bool seed_plain(const fo_observer *o, fo_state *s, const fo_seed *seed,
                        const fo_real current[FO_N], seed_point *point)
 {
@@ -185,7 +186,7 @@ static void start_filter(const fo_adaptive *a, fo_adaptive_state *s, const seed_
     s->emf_ratio = ZERO; /* no error has turned the flux yet */
     fo_learning_start(a, s, &c, &m, ONE, &none);
 
-    /* Std of the voltage from the parameters, until the first block ends. */
+    /* Std of the voltage due to the parameters, until the first block ends. */
     const fo_real drop = a->std[FO_RESISTANCE] * fo_sqrt(dot(current, current));
     const fo_real loss = a->std[FO_INVERTER] * TWO;
     s->voltage_std = fo_sqrt(drop * drop + loss * loss) * a->volt / o->h;
@@ -204,7 +205,7 @@ void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo
     s->seeded = seed_plain(&a->plain, &s->plain, seed, current, &point);
     if (s->seeded && point.std < START_STD && !has_map(&a->plain)) {
         start_filter(a, s, &point, current);
-    } else if (s->seeded) { /* too rough for the filter: candidates are placed, the first here */
+    } else if (s->seeded) { /* too uncertain for the filter: the first candidate is here */
         s->x[0] = point.direction[0];
         s->x[1] = point.direction[1];
         fo_candidates_place(a, s);

@@ -45,7 +45,7 @@ void fo_solve(int n, const fo_real U[], const fo_real z[], int first, int last, 
 fo_real fo_marginal_variance(int n, const fo_real U[], const fo_real d[], int first, int last,
                     fo_real direction[])
 {
-    const fo_real d_min = (fo_real)1e-30; /* rounding may leave zero */
+    const fo_real d_min = (fo_real)1e-30; /* rounding may make the weight zero */
     fo_real sum = ZERO;
     const fo_real *u = &U[FO_ROW(n, first)];
     for (int i = first; i < last; i++) {

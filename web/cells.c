@@ -1,13 +1,13 @@
-/* Parses simple cells of delimited text as numbers: at most 15 digits and a small exponent, so that
- * one multiplication or division gives the correctly rounded value. The positions of all other
- * cells are passed to the host. */
+/* Parses simple cells of delimited text as numbers. A simple cell has at most 15 digits and a small
+ * exponent, so that one multiplication or division gives the correctly rounded value. The host
+ * receives the positions of all other cells. */
 #include <stdint.h>
 
 #define EXPORT(name) __attribute__((export_name(#name))) name
 
 enum { MOST_DIGITS = 15, MOST_POWER = 22 };
 
-/* A cell left to the host: its row, column and bytes. */
+/* A cell that the host must parse: its row, column and bytes. */
 typedef struct {
     uint32_t row, column, begin, end;
 } place;
@@ -18,7 +18,7 @@ static const double tens[MOST_POWER + 1] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  
 
 static int is_digit(uint8_t c) { return c >= '0' && c <= '9'; }
 
-/* Parses the number in begin .. end - 1; returns 0 if it is not simple. */
+/* Parses the number in begin .. end - 1. Returns 0 if the number is not simple. */
 static int simple(const uint8_t *begin, const uint8_t *end, uint8_t mark, double *value)
 {
     double mantissa = 0.0;
@@ -50,13 +50,14 @@ static int simple(const uint8_t *begin, const uint8_t *end, uint8_t mark, double
     return 1;
 }
 
-/* Splits a block into columns of numbers, `rows` apart in `numbers`.
+/* Splits a block into columns of numbers, which are `rows` apart in `numbers`.
  *
- * slots[column] >= 0: index of the column in `numbers`; -1: the column is not needed; -2: the
- * positions of its cells are needed, to read them as text. Positions go to `places`, at most `most`
- * of them. Positions with a column >= `width` are surplus cells that are not empty. Cells missing
- * in a line that ends early are included, with begin = end = the end of the line. Returns the
- * number of positions, or -1 if there are too many; `found` receives the number of rows. */
+ * slots[column] >= 0 is the index of the column in `numbers`; -1: the column is not needed; -2: the
+ * host needs the positions of its cells, to read them as text. Positions are written to `places`,
+ * at most `most` of them. Positions with a column >= `width` are surplus cells that are not empty.
+ * If a line ends early, its missing cells are included, with begin = end = the end of the line.
+ * Returns the number of positions, or -1 if there are too many; `found` receives the number of
+ * rows. */
 int32_t EXPORT(part)(const uint8_t *block, uint32_t size, uint8_t delimiter, uint8_t mark,
                      uint32_t width, const int32_t *slots, double *numbers, uint32_t rows,
                      place *places, int32_t most, uint32_t *found)
@@ -69,7 +70,7 @@ int32_t EXPORT(part)(const uint8_t *block, uint32_t size, uint8_t delimiter, uin
             const uint32_t begin = at;
             uint32_t end;
             int quoted = 0;
-            if (at < size && block[at] == '"') { /* up to the next quotation mark that is not doubled */
+            if (at < size && block[at] == '"') { /* up to the next single quotation mark */
                 quoted = 1;
                 for (at++; at < size; at++) {
                     if (block[at] != '"') continue;
@@ -92,7 +93,7 @@ int32_t EXPORT(part)(const uint8_t *block, uint32_t size, uint8_t delimiter, uin
             column++;
             if (at >= size) break;
             if (block[at++] == '\n') break;
-            if (at >= size) { /* an empty cell at the very end */
+            if (at >= size) { /* an empty cell at the end of the block */
                 if (column < width && slots[column] != -1) {
                     if (count >= most) return -1;
                     places[count++] = (place){row, column, at, at};
@@ -112,7 +113,8 @@ int32_t EXPORT(part)(const uint8_t *block, uint32_t size, uint8_t delimiter, uin
     return count;
 }
 
-/* Counts a byte in a block. Sums over 240 bytes fit into a byte, so SIMD adds sixteen at once. */
+/* Counts a byte in a block. A sum over 240 bytes fits into a byte, so that SIMD adds sixteen bytes
+ * at once. */
 uint32_t EXPORT(count_of)(const uint8_t *block, uint32_t size, uint8_t byte)
 {
     uint32_t n = 0;
@@ -125,7 +127,7 @@ uint32_t EXPORT(count_of)(const uint8_t *block, uint32_t size, uint8_t byte)
     return n;
 }
 
-/* Whether a block contains two bytes next to each other. */
+/* Whether a block contains these two bytes next to each other. */
 uint32_t EXPORT(has_pair)(const uint8_t *block, uint32_t size, uint8_t one, uint8_t other)
 {
     uint8_t found = 0;

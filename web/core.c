@@ -1,5 +1,5 @@
-/* Interface of the observers for a WebAssembly host: memory, names and offsets of fields, and runs
- * over rows. All field names come from the lists in the C headers. */
+/* Interface of the observers for a WebAssembly host: it has memory, names and offsets of fields,
+ * and runs over rows. All field names come from the lists in the C headers. */
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
@@ -88,7 +88,7 @@ void EXPORT(shape_map)(fo_map *map, int kind, int magnets, int nodes_d, int node
     map->coefficients = coefficients;
 }
 
-/* make_plain and make_adaptive prepare an observer; `map` may be null. They return an fo_error. */
+/* make_plain and make_adaptive prepare an observer and return an fo_error; `map` may be null. */
 int EXPORT(make_plain)(fo_observer *observer, const fo_config *config, const fo_map *map)
 {
     const fo_error error = fo_init(observer, config);
@@ -109,7 +109,7 @@ void EXPORT(reset_adaptive)(const fo_adaptive *observer, fo_adaptive_state *stat
     fo_adaptive_reset(observer, state);
 }
 
-/* Runs over rows of source [2] and current [2]; writes columns [COLUMNS][rows] and valid [rows]. */
+/* Processes rows of source [2] and current [2]. Writes columns [COLUMNS][rows] and valid [rows]. */
 void EXPORT(run_plain)(const fo_observer *observer, fo_state *state, const fo_real *source,
                        const fo_real *current, uint32_t rows, int volt_seconds, double *columns,
                        uint8_t *valid)

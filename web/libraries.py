@@ -1,6 +1,6 @@
 """Third-party software in the page, for its notices and a wheel's bill of materials.
 
-The bill of materials is packaging/sbom.py.
+packaging/sbom.py makes the bill of materials.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ BEGINNINGS = ("Permission is hereby granted", "Redistribution and use")
 def libraries() -> list[dict[str, Any]]:
     """Return name, version, home, licence and licence text of each library in the page.
 
-    These are the packages of package-lock.json except tools, and what Zig links into the module:
-    its run-time library and the C library of WASI.
+    The libraries are the packages of package-lock.json except tools. Zig also links its run-time
+    library and the C library of WASI into the module.
     """
     lock = json.loads((WEB / "package-lock.json").read_text("utf-8"))["packages"]
     packages = [
@@ -44,7 +44,7 @@ def libraries() -> list[dict[str, Any]]:
 
 
 def notices(components: list[dict[str, Any]]) -> str:
-    """Return the notices that the licences require: each text once, below its copyright owners."""
+    """Return the notices that the licences require: each text once, after its copyright owners."""
     owners_of: dict[str, list[str]] = {}
     for component in components:
         text = " ".join(component.get("text", "").split())

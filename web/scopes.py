@@ -32,7 +32,7 @@ def _typing_only(node: ast.If) -> bool:
 
 
 def _in_comprehension(body: Iterable[ast.stmt]) -> set[int]:
-    """Return the ids of loop-variable stores in comprehensions, which have their own scope."""
+    """Return the ids of loop variables in comprehensions, which have their own scope."""
     stores = set()
     for node in own_nodes(body):
         if isinstance(node, ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp):

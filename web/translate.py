@@ -1,10 +1,10 @@
 """Translate modules of the package into JavaScript, so that a browser runs the same program.
 
-The page must read logs, prepare runs and word messages exactly as the command line does, in some
-kilobytes. So no line is written twice: this program turns the syntax trees of the modules into
-JavaScript that calls `runtime/` where the two languages differ (truth, equality, array operators,
-keyword arguments, classes). It supports the part of Python that the package uses; anything else is
-an error that names file and line, never a guess.
+The page must read logs, prepare runs and word messages exactly as the command line does, in a few
+kilobytes. Therefore no line is written twice: this program turns the syntax trees of the modules
+into JavaScript. The JavaScript calls `runtime/` where the two languages differ (truth, equality,
+array operators, keyword arguments, classes). The program supports the part of Python that the
+package uses. Any other construct is an error with file and line.
 """
 
 from __future__ import annotations
@@ -109,8 +109,10 @@ class Module:
 
     def __init__(self, name: str, source: Path, path: Path, modules: set[str]) -> None:
         self.name, self.source, self.path, self.modules = name, source, path, modules
-        self.live: set[str] | None = None  # words in use; None: all
-        self.by_name: set[str] | None = None  # functions called with keyword arguments; None: all
+        self.live: set[str] | None = None  # Words in use; None means all words.
+        self.by_name: set[str] | None = (
+            None  # Functions called with keyword arguments; None means all.
+        )
         self.package = name if path.name == "__init__.py" else name.rpartition(".")[0]
         self.tree = ast.parse(path.read_text(encoding="utf-8"))
         self._temporaries = 0
@@ -141,8 +143,8 @@ class Module:
     def text(self, live: set[str] | None = None, by_name: set[str] | None = None) -> str:
         """Return the module as JavaScript.
 
-        With `live`, only definitions with these names are included; with `by_name`, only functions
-        with these names get the names of their arguments.
+        If `live` is given, only definitions with these names are included. If `by_name` is given,
+        only functions with these names get the names of their arguments.
         """
         self.live, self.by_name = live, by_name
         if live is not None:
@@ -218,7 +220,7 @@ class Module:
         return ".".join([*base, *([node.module] if node.module else [])])
 
     def exports(self, package: str, name: str) -> bool:
-        """Whether a package defines this name, which then hides a module of the same name."""
+        """Whether a package defines this name; the definition hides a module of the same name."""
         path = find(self.source, package)
         return path is not None and name in names_of(path)
 
@@ -722,7 +724,8 @@ class Module:
     # ---- comprehensions ------------------------------------------------------------------
 
     def comprehension(self, generators: Sequence[ast.comprehension]) -> str:
-        """Open nested loops; the caller adds the body and leaves the scope of their names."""
+        """Open nested loops; the caller adds the body and leaves the scope of the loop
+        variables."""
         names = set()
         for generator in generators:
             names |= targets(generator.target)
@@ -778,7 +781,7 @@ def find(source: Path, name: str) -> Path | None:
 
 
 def program(source: Path, roots: Sequence[str], replaced: set[str], host: str) -> str:
-    """Return some modules and their imports, as far as used, as JavaScript.
+    """Return modules and their imports as JavaScript, without unused definitions.
 
     Parameters
     ----------
@@ -818,7 +821,7 @@ def program(source: Path, roots: Sequence[str], replaced: set[str], host: str) -
             raise Unknown(f"{error} (imported by {importer})") from None
         for imported in sorted(module.imports):
             add(imported, name)
-        modules[name] = modules.pop(name)  # after its imports
+        modules[name] = modules.pop(name)  # place the module after its imports
 
     for root in roots:
         add(root, "the page")

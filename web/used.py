@@ -1,4 +1,4 @@
-"""Names that the page uses of the package, to leave out what it does not use."""
+"""Find the names of the package that the page uses, to leave out unused definitions."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _PLAIN = {"property", "cached_property", "classmethod", "staticmethod", "abstrac
 
 
 def used(node: ast.FunctionDef, live: set[str]) -> bool:
-    """Whether a method may be used; Python itself calls names with two underscores."""
+    """Whether a method may be used; Python itself calls methods with two underscores."""
     called = any(not isinstance(d, ast.Name) or d.id not in _PLAIN for d in node.decorator_list)
     return node.name in live or node.name.startswith("__") or called
 
@@ -121,7 +121,7 @@ def live_statements(body: list[ast.stmt], live: set[str], inside: set[str]) -> l
 
 
 def alive(bodies: Iterable[list[ast.stmt]], roots: set[str]) -> set[str]:
-    """Return all words reachable from `roots`, by name alone: rather too many than too few."""
+    """Return all words reachable from `roots` by name alone, which may be too many."""
     live = set(roots)
     todo = [statement for body in bodies for statement in without_docstring(body)]
     while True:
@@ -145,7 +145,7 @@ def alive(bodies: Iterable[list[ast.stmt]], roots: set[str]) -> set[str]:
 def called_by_name(trees: Iterable[ast.AST], host: str) -> set[str]:
     """Return the names of functions called with keyword arguments anywhere.
 
-    Only these need the names of their arguments at run time.
+    Only these functions need the names of their arguments at run time.
     """
     names = set(re.findall(r"(\w+)\s*\((?:[^()]|\([^()]*\))*\$kw\(", host))
     for tree in trees:

@@ -147,7 +147,7 @@ def test_unidentifiable_unknowns_are_refused_with_their_direction(folder):
     assert done.returncode == 2
     assert "cannot both be estimated for kind surface-pmsm" in done.stderr
     assert "(0.0006, 0) Wb in the flux with (1, 0) A in the current" in done.stderr
-    assert "position and speed, has none" in done.stderr
+    assert "position and speed have no error" in done.stderr
 
 
 def test_machine_file_of_a_levitation(tmp_path):

@@ -1,5 +1,5 @@
-/* fo_atan2 against the C library's in extended precision; then a hash of its bits, which has to be
- * the same whatever compiled it. */
+/* Compares fo_atan2 with the C library's atan2 in extended precision. Prints a hash of the bits of
+ * fo_atan2, which must be the same with every compiler. */
 #include <stdio.h>
 #include <string.h>
 
@@ -24,7 +24,7 @@ int main(void)
         const fo_real x = (fo_real)(uniform() * scales[n / 4 % 4]);
         const fo_real found = fo_atan2(y, x);
         const long double right = atan2l((long double)y, (long double)x);
-        /* relative for small angles, which are as exact as their ratio */
+        /* relative error for small angles, which are as exact as their ratio */
         const long double allowed = most * (fabsl(right) < 1.0L ? fabsl(right) : 1.0L);
         if (!(fabsl((long double)found - right) <= allowed)) {
             failed = 1;

@@ -1,6 +1,7 @@
-/* Memory of the observer is overwritten while it runs: no valid row without a finite standard
- * deviation, and it finds the rotor again. Kinds: a number with the wrong sign, not a number,
- * infinite, zero; random bytes in all of the state. Prints the worst of each. */
+/* Overwrites memory of the observer while it runs. Afterwards every valid row must have a finite
+ * standard deviation, and the observer must find the rotor again. Kinds of damage: a number with
+ * the wrong sign, NaN, infinite, zero; random bytes in the whole state. Prints the worst result of
+ * each kind. */
 #include <math.h>
 #include <stddef.h>
 #include <stdio.h>
@@ -15,10 +16,10 @@
 #define OMEGA 400.0
 #define PSI 0.0125
 #define CURRENT 4.0
-#define AT 3000 /* sample of the damage */
+#define AT 3000 /* sample at which memory is damaged */
 #define END 9000
 
-/* A steady run in the rotor frame, in closed form: current along q. */
+/* A steady run in closed form, in the rotor frame: the current is along q. */
 static void sample(int k, double L, double R, fo_real voltage[2], fo_real current[2], double *theta)
 {
     const double t0 = H * (k - 1), t1 = H * k, a0 = OMEGA * t0, a1 = OMEGA * t1;
@@ -34,7 +35,7 @@ static void sample(int k, double L, double R, fo_real voltage[2], fo_real curren
 }
 
 typedef struct {
-    int valid, not_finite, wrong, late; /* rows; samples until it is valid for good */
+    int valid, not_finite, wrong, late; /* numbers of rows; samples until all rows are valid */
     unsigned restarts;
 } outcome;
 

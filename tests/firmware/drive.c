@@ -1,6 +1,6 @@
-/* A drive around the exported example interrupt: rows of (i_a, i_b, i_c, the alpha and the beta
- * voltage commanded in this interrupt, are the gates on?) as floats on standard input; the angle
- * that the control was given, 100 where it is not known, as a float a row on standard output. */
+/* A drive around the exported example interrupt. Standard input: rows of floats (i_a, i_b, i_c,
+ * alpha and beta voltage commanded in this interrupt, whether the gates are on). Standard output:
+ * one float per row, the angle that the control received, or 100 if the angle is unknown. */
 #include <stdio.h>
 
 #include "motor_observer.h"

@@ -1,6 +1,6 @@
 /* Both observers under libFuzzer: arbitrary parameters, arbitrary samples, real motion in between.
- * Nothing may crash or be undefined, no estimate may be other than finite, and a valid one has to
- * be one. Ends by itself after FUZZ_STEPS samples. */
+ * Nothing may crash or be undefined, every estimate must be finite, and a valid estimate must be
+ * right. Ends by itself after FUZZ_STEPS samples. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -34,7 +34,7 @@ static unsigned byte(bytes *b)
     return value;
 }
 
-/* Any bit pattern at all. */
+/* A number with arbitrary bits. */
 static fo_real any(bytes *b)
 {
     unsigned char raw[sizeof(fo_real)];
@@ -46,7 +46,7 @@ static fo_real any(bytes *b)
     return value;
 }
 
-/* About `usual`, ten decades and more either way, or anything. */
+/* A number within ten decades of `usual`, or any number. */
 static fo_real about(bytes *b, double usual)
 {
     const int kind = (int)byte(b) - 128;
@@ -102,14 +102,14 @@ static void judge_adaptive(const fo_adaptive_estimate *e)
         fail("another angle is impossible");
     }
     adapting += e->adapting ? 1 : 0;
-    judge(&e->position, PI / 17.9); /* with what inductance and lag may turn it */
-    steps--; /* the same sample as the plain observer's */
+    judge(&e->position, PI / 17.9); /* errors of inductance and lag may turn the angle */
+    steps--; /* the plain observer counts the same sample */
 }
 
 typedef struct {
     fo_observer plain;
     fo_adaptive adaptive;
-    bool both; /* the adaptive one can be prepared */
+    bool both; /* the adaptive observer can be prepared */
     fo_state state;
     fo_adaptive_state adaptive_state;
 } observers;
@@ -191,12 +191,12 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     double angle = byte(&b) * 0.1, omega = 0.0;
     while (b.left > 0) {
         const unsigned kind = byte(&b);
-        if ((kind & 3U) == 0U) { /* anything */
+        if ((kind & 3U) == 0U) { /* arbitrary voltage and current */
             const fo_real u[FO_N] = {any(&b), any(&b)}, i[FO_N] = {any(&b), any(&b)};
             step(&o, u, i, (kind & 4U) != 0U);
             continue;
         }
-        /* Motion: a speed, a load, errors; for some samples. */
+        /* Motion for some samples: a speed, a load, errors. */
         const double aim = ((double)byte(&b) - 128.0) / 128.0 * PI / (5 * h);
         const double share = ((double)byte(&b) - 128.0) * 0.05 / 12.0;
         const double load = L > 0.0 ? share * psi / L : 0.0;

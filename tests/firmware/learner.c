@@ -1,4 +1,4 @@
-/* The learner alone, started where the input says, over the samples of the input. See
+/* The learner alone: starts where the input says, and processes the samples of the input. See
  * test_learning.py.
  *
  * SPDX-License-Identifier: MIT
@@ -68,7 +68,7 @@ int main(void)
                 t.sensitivity[j][i] = next();
             }
         }
-        for (int i = 0; i < FO_N; i++) { /* the parameters learnt correct the volt-seconds */
+        for (int i = 0; i < FO_N; i++) { /* the learnt parameters correct the volt-seconds */
             for (int j = FO_RESISTANCE; j < (int)FO_CURVE; j++) {
                 t.v[i] += s.p[j] * t.sensitivity[j][i];
             }

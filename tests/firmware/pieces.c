@@ -1,4 +1,4 @@
-/* The pieces of the adaptive observer against dense matrices in double. */
+/* Compares parts of the adaptive observer with dense matrices in double. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -30,7 +30,7 @@ static void compare(const char *what, const double *a, const double *b, int n)
     }
 }
 
-/* Information U'dU of a triangle of order n, its first rows only. */
+/* Information U'dU of a factor of order n, from its first rows only. */
 static void expand(int n, int rows, const fo_real U[], const fo_real d[], double *info)
 {
     for (int i = 0; i < n; i++) {
@@ -45,7 +45,7 @@ static void expand(int n, int rows, const fo_real U[], const fo_real d[], double
     }
 }
 
-/* Inverse by Gauss and Jordan with pivots. */
+/* Inverse by the method of Gauss and Jordan with pivots. */
 static void invert(int n, const double *given, double *inverse)
 {
     double a[FO_NA * FO_NA];
@@ -92,8 +92,9 @@ static void random_triangle(int n, fo_real U[], fo_real d[], fo_real z[])
     }
 }
 
-/* A row taken in adds its outer product to the information, and its value to the right-hand side;
- * what is left of it after the first rows is what the rest sees once those are eliminated. */
+/* A row that is added to the factor adds its outer product to the information, and its value to the
+ * right-hand side. The row that remains after the first rows is the row for the other unknowns
+ * after elimination of the first unknowns. */
 static void check_rotation(void)
 {
     enum { N = 7, M = 3 };
@@ -109,13 +110,13 @@ static void check_rotation(void)
         }
     }
     for (int i = 0; i < N; i++) {
-        row[i] = i == 2 ? ZERO : (fo_real)uniform(); /* zeros are passed over */
+        row[i] = i == 2 ? ZERO : (fo_real)uniform(); /* zeros are skipped */
         given[i] = (double)row[i];
         rhs[i] += 1.3 * given[i] * 0.7;
     }
     fo_add_row_to(N, U, d, z, 0, M, row, &value, &information);
     expand(N, N, U, d, after);
-    for (int i = 0; i < N; i++) { /* rotated rows, and the row that is left */
+    for (int i = 0; i < N; i++) { /* rotated rows, and the remaining row */
         for (int j = 0; j < N; j++) {
             all[i * N + j] = before[i * N + j] + 1.3 * given[i] * given[j];
             after[i * N + j] += (double)information * (double)row[i] * (double)row[j];
@@ -226,7 +227,7 @@ static void simple(fo_adaptive *a)
     }
 }
 
-/* The derivatives of a sample's residual are those of the residual. */
+/* The derivatives of a sample's residual must equal difference quotients. */
 static void check_derivatives(void)
 {
     static fo_adaptive a;
@@ -263,7 +264,8 @@ static void check_derivatives(void)
     }
 }
 
-/* The sensitivities of an interval's volt-seconds are their differences by each parameter. */
+/* The sensitivities of an interval's volt-seconds must equal difference quotients by each
+ * parameter. */
 static void check_sensitivities(void)
 {
     static fo_adaptive a;
@@ -287,12 +289,12 @@ static void check_sensitivities(void)
             t.p[j] += (fo_real)(side == 0 ? -step : step);
             predicted_loss(&a, &t, i, lost);
             correct_asymmetry(&a, &t, u, left);
-            for (int n = 0; n < FO_N; n++) { /* as the plain observer takes it in */
+            for (int n = 0; n < FO_N; n++) { /* like the plain observer */
                 t.plain.source[n] = a.volt * (left[n] - lost[n]);
                 found[n] = side == 0 ? -(double)t.plain.source[n]
                                      : (found[n] + (double)t.plain.source[n]) / (2.0 * step);
             }
-            t.plain.source[0] = a.volt * u[0]; /* by the voltage as measured */
+            t.plain.source[0] = a.volt * u[0]; /* computed with the measured voltage */
             t.plain.source[1] = a.volt * u[1];
             integrate_interval(&a, &t, false, &e);
             effect[0] += 0.5 * (double)e.sensitivity[j][0];
@@ -307,7 +309,7 @@ static void check_sensitivities(void)
     }
 }
 
-/* No inverter adds voltage: the estimate is then the likeliest whose loss is zero. */
+/* No inverter adds voltage: the estimate must be the most likely one with a loss of zero. */
 static void check_no_gain(void)
 {
     static fo_adaptive a;
@@ -326,7 +328,7 @@ static void check_no_gain(void)
     }
 }
 
-/* The cost of a candidate, straight from its definition. */
+/* The cost of a candidate, directly from its definition. */
 static double cost_of(const fo_information *info, const double p[FO_NM], double noise)
 {
     const double x[FO_NX] = {p[0] * p[0] + p[1] * p[1] - p[4], p[0], p[1],
@@ -356,7 +358,7 @@ static void check_projection(void)
     memset(&c, 0, sizeof c);
     s.x[0] = ONE;
     a.psi = ONE;
-    a.std[FO_PSI] = (fo_real)1e3; /* no prior to speak of */
+    a.std[FO_PSI] = (fo_real)1e3; /* the prior is negligible */
     fo_information *info = &s.plain.info;
     for (int i = 0; i < FO_TRIANGLE; i++) {
         info->U[i] = (fo_real)(0.3 * uniform());
@@ -384,7 +386,7 @@ static void check_projection(void)
         p[i] = (double)c.p[i];
     }
     const double here = cost_of(info, p, 2.0);
-    for (int i = 0; i < FO_NM; i++) { /* the least: it rises to either side */
+    for (int i = 0; i < FO_NM; i++) { /* at the minimum, the cost rises in both directions */
         for (int side = -1; side <= 1; side += 2) {
             double q[FO_NM];
             memcpy(q, p, sizeof q);
@@ -403,7 +405,7 @@ static void check_projection(void)
     }
 }
 
-/* Covariance of the flux, given drift and parameters: two variances about their product. */
+/* Covariance of the flux, given drift and parameters, from the first two rows of the factor. */
 static void conditional(const fo_adaptive_state *s, double P[3])
 {
     const double u = (double)s->U[0], d0 = (double)s->d[0], d1 = (double)s->d[1];
@@ -412,8 +414,8 @@ static void conditional(const fo_adaptive_state *s, double P[3])
     P[2] = 1.0 / d1;
 }
 
-/* A start has the information of the projection on flux and drift, and ties an error of the
- * resistance to the flux as in steady state: the flux of the true resistance is as likely. */
+/* A start has the projection's information on flux and drift. The start ties an error of the
+ * resistance to the flux as in steady state: the flux of the true resistance is equally likely. */
 static void check_start(void)
 {
     static fo_adaptive a;
@@ -444,12 +446,13 @@ static void check_start(void)
         one[i] = given[i / FO_NF * FO_NM + i % FO_NF] / 2.0;
     }
     compare("start, information", two, one, FO_NF * FO_NF);
-    /* the drop of one std along -beta, at 0.03 rad a sample, moves the flux along -alpha by 2/3 */
+    /* the resistive drop of one std along -beta, at 0.03 rad a sample, moves the flux along -alpha
+     * by 2/3 */
     const double along = -0.02 / 0.03;
     double x[FO_NA] = {0.0}, cost = 0.0;
     x[0] = along;
     x[FO_NF + FO_RESISTANCE] = 1.0;
-    x[FO_NF + FO_PSI] = along / (double)a.std[FO_PSI]; /* and shortens it by as much */
+    x[FO_NF + FO_PSI] = along / (double)a.std[FO_PSI]; /* the flux is shorter by the same amount  */
     for (int i = 0; i < FO_NA; i++) {
         for (int j = 0; j < FO_NA; j++) {
             cost += x[i] * found[i * FO_NA + j] * x[j];
@@ -459,7 +462,8 @@ static void check_start(void)
         printf("start: a wrong resistance costs %g\n", cost);
         failed = 1;
     }
-    /* what is doubtful loosens the flux by 0.3 doubt^2 length^2, and the drift by as much, turning */
+    /* the parameter-to-EMF ratio adds 0.3 ratio^2 length^2 to the variance of the flux; the
+     * voltage's variance is added to that of the drift in the same way */
     double before[3], after[3];
     conditional(&s, before);
     const double tight = 1.0 / (double)s.d[FO_N];
@@ -474,8 +478,8 @@ static void check_start(void)
     compare("start, doubt of the drift", &loose, &due, 1);
 }
 
-/* From wherever it starts the tracker has to find angle and speed; there are speeds at which errors
- * of a few samples cancel, and a plain filter stays there. */
+/* The tracker must find angle and speed from any start. At some speeds the errors of a few samples
+ * cancel, and a plain filter would keep such a speed. */
 static void check_tracker(void)
 {
     static fo_observer o;
@@ -506,7 +510,7 @@ static void demand_that(bool good, const char *what, double at)
     }
 }
 
-/* Elementary functions, each within the error that its comment states. */
+/* Elementary functions must be as exact as their comments state. */
 static void check_functions(void)
 {
     const double rounding = sizeof(fo_real) == sizeof(float) ? 4e-7 : 0.0;
@@ -547,7 +551,7 @@ static void check_functions(void)
     demand_that(correlation(TWO, TWO) == (fo_real)0.98, "correlation", 1.0);
 }
 
-/* The voltage that is lost: signs of the phases as a vector, and its derivative. */
+/* Lost voltage: vector of the signs of the phases, and its derivative. */
 static void check_soft_signs(void)
 {
     const double root = sqrt(3.0) / 2.0, over = 0.8, volts = 1.7;
@@ -578,8 +582,9 @@ static void check_soft_signs(void)
     }
 }
 
-/* A tracker that is near for a tenth of the memory has settled; while it is not, a thirtieth of the
- * time counts. Near is within 3 degrees and three standard deviations. */
+/* A tracker has settled if its error was small for a tenth of the memory. While the error is
+ * larger, a thirtieth of the time counts. A small error is within 3 degrees and three standard
+ * deviations. */
 static void check_settling(void)
 {
     static fo_observer o;

@@ -1,5 +1,5 @@
-/* An exported observer on any record: rows of (u_alpha, u_beta, i_alpha, i_beta) as doubles on
- * standard input, rows of estimates as doubles on standard output. */
+/* Runs an exported observer on any record. Standard input: rows of doubles (u_alpha, u_beta,
+ * i_alpha, i_beta). Standard output: rows of estimates as doubles. */
 #include <stdio.h>
 
 #include "motor_observer.h"

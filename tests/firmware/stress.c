@@ -1,5 +1,5 @@
-/* The core under the sanitizers: ordinary motion with every kind of garbage thrown in.
- * Ends with 0 when all outputs stayed finite and the position was known again each time. */
+/* Runs the core under the sanitizers: ordinary motion with every kind of bad sample. Exits with 0
+ * if all outputs were finite and the position became known again each time. */
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -64,7 +64,7 @@ int main(void)
         fo_real u[FO_N];
         u[0] = (fo_real)(-(omega * psi + R * load) * sin(b) - omega * L * load * cos(b));
         u[1] = (fo_real)((omega * psi + R * load) * cos(b) - omega * L * load * sin(b));
-        const int dirty = k % 4000 > 2000 && k % 4000 < 2400; /* then there is time to recover */
+        const int dirty = k % 4000 > 2000 && k % 4000 < 2400; /* leave time to recover afterwards */
         if (dirty && draw() % 3u == 0u) {
             u[draw() % 2u] = garbage();
         }

@@ -1,4 +1,4 @@
-/* The matrices of a surface PMSM, for the tests that set an observer up by hand. */
+/* Matrices of a surface PMSM, for tests that configure an observer by hand. */
 #ifndef SURFACE_PMSM_H
 #define SURFACE_PMSM_H
 

@@ -1,4 +1,5 @@
-"""The observer's memory is overwritten while it runs: it says nothing wrong, and recovers."""
+"""The observer's memory is overwritten while it runs: few rows are wrong, and the observer
+recovers."""
 
 import subprocess
 
@@ -8,8 +9,9 @@ import fluxobs
 from support.firmware import HARNESS
 from support.records import SERVO
 
-#: Rows that may be valid and wrong, and samples until all are right again, of 1e-4 s. The worst is
-#: a number of the least squares that becomes zero, which leaves a state as good as any other.
+#: Largest number of rows that are valid but wrong, and of samples (1e-4 s) until all rows are right
+#: again. The worst case is a number of the least squares that becomes zero: the state then still
+#: looks correct.
 LIMITS = {"MOST_WRONG": 60, "MOST_LATE": 1500, "L_S": SERVO.L_s, "R_S": SERVO.R_s}
 
 

@@ -1,4 +1,4 @@
-"""The learner in C against its readable twin, number by number."""
+"""Compares the learner in C with its readable twin in Python, number by number."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def program(tmp_path_factory):
 
 
 def record(settings, jump=0.0, at=12.0, stop=False, inverter=0.05, noise=0.01):
-    """Volt-seconds, effects, current, roughness and knee of a drive with loads and reversals."""
+    """Return (volt-seconds, effects, current, roughness, knee) of a drive with loads, reversals."""
     rng = np.random.default_rng(3)
     t = H * np.arange(ROWS + 1)
     speed = np.interp(t, [0, 6, 8, 14, 16, 24], [12, 12, -8, -8, 20, 20])
@@ -55,7 +55,7 @@ def record(settings, jump=0.0, at=12.0, stop=False, inverter=0.05, noise=0.01):
     mean = (i[1:] + i[:-1]) / 2
     sign = np.tanh(mean.real / 0.05) + 1j * np.tanh(mean.imag / 0.05)
     drift = 0.1 - 0.05j + np.where(t[1:] > at, jump, 0)
-    # the assumed resistance is a third of a std too small
+    # The assumed resistance is too small by a third of a std.
     v = np.diff(flux) + 0.3 * STD[1] * 0.2 * H * mean + inverter * H * sign - H * drift
     effect = np.zeros((ROWS, CURVE + 1), complex)
     effect[:, 1] = -STD[1] * 0.2 * H * mean
@@ -82,13 +82,13 @@ def pairs(z):
     [
         (SETTINGS, {}),
         (replace(SETTINGS, saliency=-0.2), {}),
-        (SETTINGS, {"jump": 0.6}),  # a surprise: the drift is opened
-        (SETTINGS, {"jump": 5.0, "at": 0.35}),  # too early for one
-        (SETTINGS, {"jump": 0.6, "at": 0.8}),  # just late enough
+        (SETTINGS, {"jump": 0.6}),  # The drift returns to its prior.
+        (SETTINGS, {"jump": 5.0, "at": 0.35}),  # Too early for a return to the prior.
+        (SETTINGS, {"jump": 0.6, "at": 0.8}),  # Just late enough for a return.
         (SETTINGS, {"noise": 0.0, "inverter": 0.0}),
-        (SETTINGS, {"stop": True}),  # blocks end by time
-        (replace(SETTINGS, inverter_mean=0.0), {"inverter": -0.03}),  # no inverter adds voltage
-        (replace(SETTINGS, slow=0.5), {}),  # parameters are forgotten
+        (SETTINGS, {"stop": True}),  # Time ends the blocks.
+        (replace(SETTINGS, inverter_mean=0.0), {"inverter": -0.03}),  # No inverter adds voltage.
+        (replace(SETTINGS, slow=0.5), {}),  # Parameters are forgotten.
     ],
     ids=["plain", "salient", "jump", "early", "late", "quiet", "stop", "negative", "forgets"],
 )
@@ -122,4 +122,4 @@ def test_c_is_its_twin(program, settings, changes):
         f, p = twin.sample(volts, pairs(effect[k]), pairs(current[k]), 0.8, knee[k])
         expected[k] = *f, *p, twin.level, twin.contradiction, twin.across, twin.turning
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
-    assert np.abs(found[-1, 4:-4]).max() > 0.1  # something was learnt
+    assert np.abs(found[-1, 4:-4]).max() > 0.1  # the parameters have changed

@@ -1,4 +1,4 @@
-"""Parts of the adaptive observer in C, each against dense matrices."""
+"""Compares parts of the adaptive observer in C with dense matrices."""
 
 import subprocess
 
@@ -9,7 +9,7 @@ from support.firmware import COMPILERS, FIRMWARE, HARNESS
 
 @pytest.mark.parametrize("precision", ["-DFO_SINGLE=1", "-DFO_SINGLE=0"])
 def test_pieces_against_dense_matrices(tmp_path, precision):
-    """Triangles, transition, random step, derivatives, effects, start, the projection's minimum."""
+    """Test factors, transition, process noise, derivatives, effects, start, projection."""
     program = tmp_path / "pieces"
     sources = [HARNESS / "pieces.c", FIRMWARE / "fluxobs.c", FIRMWARE / "fluxobs_map.c"]
     sources += [FIRMWARE / f"fluxobs_{part}.c" for part in ("triangle", "candidates")]

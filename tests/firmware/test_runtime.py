@@ -1,4 +1,4 @@
-"""What a firmware uses at run time: configuration, changes, blobs, snapshots, the C++ header."""
+"""Features of the firmware at run time: configuration, changes, blobs, snapshots, C++ header."""
 
 import subprocess
 from pathlib import Path
@@ -27,7 +27,7 @@ ALL = ("drift", "resistance", "inverter", "asymmetry")
 
 
 def built(folder: Path, source: str, *flags: object) -> Path:
-    """A harness with all sources of the firmware."""
+    """Compile a harness with all sources of the firmware."""
     program = folder / Path(source).stem
     sources = [RUNTIME / source, *sorted(FIRMWARE.glob("*.c"))]
     command = ["gcc", *STRICT, *flags, f"-I{FIRMWARE}", *sources, "-lm"]
@@ -66,7 +66,7 @@ UNSATURATED = ["servo-400w", "drone-900kv", "pmsm-2kw2", "ipm-2kw2", "synrm-6kw7
 @pytest.mark.parametrize("sample_time", [2e-5, 1e-4, 2e-4])
 @pytest.mark.parametrize("name", UNSATURATED)
 def test_a_machine_in_c_is_the_one_in_python(configure, name, sample_time):
-    """The same bits: what is chosen, the map, and the adaptive observer's standard deviations."""
+    """Settings, map and the adaptive observer's standard deviations have the same bits."""
     machine, dc_link = example(name), 300.0
     assert machine.saturation is None
     found = printed(configure, machine, sample_time, dc_link)
@@ -76,7 +76,7 @@ def test_a_machine_in_c_is_the_one_in_python(configure, name, sample_time):
     )
     expected = adaptive.plain.parameters() | adaptive.parameters()
     expected.pop("projection")
-    shares = expected.pop("std")  # from shares and back in Python: one unit in the last place
+    shares = expected.pop("std")  # Python converts to shares and back: one unit in the last place
     assert found.pop("std") == pytest.approx(shares, rel=1e-15)
     for field, value in expected.items():
         assert found.pop(field) == np.ravel(value).tolist(), field
@@ -188,13 +188,13 @@ def test_the_example_compiles(folder, compiler):
 
 
 def test_sources_refuse_what_they_leave_out(folder):
-    """Held voltages, and matrices that are more than numbers."""
+    """Sources refuse held voltages and matrices that are not multiples of the identity."""
     run_in(folder, "lacking.c")
 
 
 def test_the_layout_has_a_number_of_its_own():
-    """Whoever adds a field to an observer gives FO_LAYOUT in fluxobs_keep.h another number, and
-    writes the names here: blobs of earlier versions are refused then."""
+    """If you add a field to an observer, change FO_LAYOUT in fluxobs_keep.h and the names here.
+    Blobs of earlier versions are then refused."""
     plain = list(_core.meanings)
     more = list(_core.adaptive_meanings)
     assert (_core.layout, len(plain), len(more)) == (1, 24, 12)

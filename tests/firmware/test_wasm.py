@@ -1,4 +1,4 @@
-"""The exported sources as WebAssembly: the same bits as the library, without any import."""
+"""The exported sources as WebAssembly compute the same bits as the library, without imports."""
 
 import subprocess
 
@@ -27,7 +27,8 @@ def test_every_output_has_the_same_bits_in_webassembly(tmp_path, name, precision
     includes = [f"-I{folder}", f"-I{folder / 'test'}"]
     made = tmp_path / "motor.wasm"
     command = [*COMMAND, precision, *includes, *sources, "-o", made]
-    subprocess.run(command, check=True, cwd=tmp_path)  # as an export: one C library for both
+    # Compile in the same folder as an export, so that both use one C library.
+    subprocess.run(command, check=True, cwd=tmp_path)
     store = wasmtime.Store()
     module = wasmtime.Module.from_file(store.engine, str(made))
     assert not module.imports

@@ -1,6 +1,6 @@
-/* An exported observer where samples come at uneven times: rows of (duration, u_alpha, u_beta,
- * i_alpha, i_beta) as doubles on standard input, (theta_e, theta_e_std, speed_e, valid) on standard
- * output. */
+/* Runs an exported observer on samples at uneven times. Standard input: rows of doubles (duration,
+ * u_alpha, u_beta, i_alpha, i_beta). Standard output: rows of doubles (theta_e, theta_e_std,
+ * speed_e, valid). */
 #include <stdio.h>
 
 #include "motor_observer.h"

@@ -1,4 +1,5 @@
-/* The exported check as a WebAssembly function: 0 if every output is as the library's. */
+/* The exported check as a WebAssembly function: returns 0 if every output equals that of the
+ * library. */
 #include "check.h"
 
 __attribute__((export_name("check"))) int check(void)

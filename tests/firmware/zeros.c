@@ -1,4 +1,5 @@
-/* A state of zeros beside one that was reset: the same estimates, and one restart more. */
+/* Compares a state of zeros with a state that was reset: the estimates are the same, and zeros
+ * count as one more restart. */
 #include "motor_observer.h"
 #include "vectors.h"
 

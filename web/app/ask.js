@@ -1,4 +1,4 @@
-// Calls of the worker, as functions that return promises.
+// Requests to the worker, as functions that return promises.
 
 export const { unpack, parts } = window; // set by boot.js
 

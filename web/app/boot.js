@@ -8,7 +8,7 @@ window.unpack = async (packed) => {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 };
 
-// Split the archive into its parts, which follow one another (web/build.py).
+// Split the archive into its parts, which are stored one after another (web/build.py).
 const packed = Uint8Array.from(atob(content("archive")), (character) => character.charCodeAt(0));
 const archive = await window.unpack(packed);
 const parts = {};

@@ -4,7 +4,7 @@ import { banded, element, panels } from "./results.js";
 import { Panels, Recent } from "./plots.js";
 
 const LONGEST = 60, // seconds kept
-  SILENT = 2000, // ms without rows before a remark says so
+  SILENT = 2000, // ms without rows before a message says so
   MOST = 1 << 21; // most rows kept
 const QUICK = new Set(["position", "speed", "drift"]);
 const SPANS = [1, 2, 5, 10, 30, 60];
@@ -101,7 +101,7 @@ export class Live {
       element(
         "p",
         { className: "hint" },
-        "Hold stops the plots, to zoom and to read values. A shaded background marks rows without a valid position.",
+        "Hold stops the plots, so that you can zoom and read values. A shaded background marks rows without a valid position.",
       ),
       this.charts,
       this.notes,
@@ -178,7 +178,7 @@ export class Live {
 
   draw() {
     const to = this.view.t[this.view.rows - 1];
-    // in each frame, the panels that change quickly and one of the others
+    // in each frame, draw the panels that change quickly and one of the other panels
     const others = this.panels.specs.filter(({ id }) => !QUICK.has(id)),
       next = others[this.frames++ % others.length];
     this.panels.roll(

@@ -1,4 +1,4 @@
-// The page: from a dropped log and a chosen machine to estimates, findings and files.
+// The page: from a log and a machine to estimates, findings and files.
 
 import { parts, start } from "./ask.js";
 import { Live, serial, socket } from "./live.js";
@@ -49,7 +49,7 @@ $("machine-file").addEventListener("change", async (event) => {
 for (const kind of Object.keys(state.known.kinds))
   if (kind !== "maglev-2dof")
     $("kind").append(element("option", { value: kind, textContent: kind }));
-// SI prefixes of values as typed: 35 mΩ, 20 µH, 900.
+// SI prefixes as the user may type them: 35 mΩ, 20 µH, 900.
 const PREFIX = { n: 1e-9, u: 1e-6, µ: 1e-6, μ: 1e-6, m: 1e-3, k: 1e3 };
 const SHEET = {
   kv: "KV in rpm/V",
@@ -144,7 +144,7 @@ $("files").addEventListener("change", (event) => {
   const files = [...event.target.files];
   event.target.value = "";
   open(files);
-}); // cleared, so that choosing the same file reads it again
+}); // cleared, so that the same file can be chosen and read again
 $("demo").addEventListener("click", async () => {
   $("example").value = "servo-400w";
   $("machine").value = state.known.examples["servo-400w"];
@@ -205,7 +205,7 @@ function options() {
   };
 }
 
-const DEMO = "demo-excerpt.csv"; // its first rows only
+const DEMO = "demo-excerpt.csv"; // only its first rows are in the page
 const quoted = (word) =>
   /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\"'\"'")}'`;
 function command(given) {
@@ -303,7 +303,7 @@ async function again() {
       setTimeout(() => {
         document.body.dataset.seconds = ((performance.now() - state.chosen) / 1000).toFixed(3);
       }),
-    ); // once it is on the screen
+    ); // after it is drawn
     const seconds = (performance.now() - began) / 1000;
     $("taken").textContent = [
       ...found.notes,

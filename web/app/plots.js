@@ -226,8 +226,8 @@ function shade(view) {
   };
 }
 
-// A curve that rises and falls within each pixel is drawn as columns of pixels: stroking it would
-// take longer than everything else.
+// A curve that rises and falls within each pixel is drawn as columns of pixels, because stroking it
+// would take longer than all other drawing.
 const linear = uPlot.paths.linear();
 function steep(u, n) {
   const y = u.data[n],
@@ -408,7 +408,7 @@ export class Panels {
     return Number.isFinite(v) ? (map ? map(v) : v).toPrecision(5) : "";
   }
 
-  // Show these seconds, as in a strip chart; redraw only the panels for which `wanted` is true.
+  // Show these seconds, like a strip chart; redraw only the panels for which `wanted` is true.
   roll(from, to, wanted) {
     this.full = [this.view.t[0], this.view.t[this.view.rows - 1]];
     this.window = [from, to];
@@ -421,7 +421,7 @@ export class Panels {
     this.drawn = performance.now() - began;
     this.describe();
     const under = this.charts.find((one) => one.cursor.left >= 0);
-    if (under && !this.going) setTimeout(() => this.cursor(under)); // once the new scales are set
+    if (under && !this.going) setTimeout(() => this.cursor(under)); // after the new scales are set
     if (!quick || this.row != null) this.onWindow(...this.window);
   }
 

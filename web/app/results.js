@@ -309,7 +309,7 @@ export class Results {
             "details",
             { className: "verdicts", open: findings.some((one) => !one.as_given) },
             element("summary", {
-              textContent: `Does the log agree with the machine file and the options? ${findings.every((one) => one.as_given) ? "Yes, as far as it can show." : "Not in every respect."}`,
+              textContent: `Does the log agree with the machine file and the options? ${findings.every((one) => one.as_given) ? "Yes, as far as the log can show." : "Not in every respect."}`,
             }),
             element(
               "table",
@@ -409,7 +409,7 @@ export class Results {
     );
   }
 
-  // Run once at a time; a request during a run is served after it.
+  // Allow one run at a time; a request during a run waits for its end.
   async recompute() {
     if (this.running) {
       this.waiting = true;

@@ -1,5 +1,5 @@
-// Arrays as NumPy has them, as far as the package uses them: views with strides, broadcasting,
-// boolean masks, complex numbers, small linear algebra. Integers are doubles that are whole.
+// NumPy arrays, as far as the package uses them: views with strides, broadcasting, boolean masks,
+// complex numbers, small linear algebra. Integers are doubles without a fraction.
 
 class NdArray {
   constructor(data, shape, dtype, im = null, strides = null, offset = 0) {
@@ -53,7 +53,7 @@ class NdArray {
     }
     return true;
   }
-  // Elements in order; shared with this array where they lie in order already.
+  // The elements in order. If this array stores them in order, the result shares its memory.
   flat() {
     const count = this.size;
     if (this.contiguous) {
@@ -178,7 +178,7 @@ function $gathered(data, { shape, strides, offset }, count) {
   return out;
 }
 
-// Where the elements of a view lie.
+// Positions of the elements of a view in its data.
 function $offsets(shape, strides, offset) {
   let out = new Int32Array([offset]);
   for (let n = 0; n < shape.length; n++) {
@@ -193,9 +193,9 @@ function $offsets(shape, strides, offset) {
 }
 
 const $rank = { b: 0, i: 1, f: 2, c: 3 };
-// A number as an integer, as processors of the family x86 convert it.
+// A number as an integer, converted as by x86 processors.
 const $cut = (v) => (Math.abs(v) < 2 ** 63 ? Math.trunc(v) + 0 : -(2 ** 63));
-// Results of integers, in place: none is beyond what a double tells from its neighbours.
+// Check integer results in place: an error if a double cannot represent one exactly.
 function $whole(out, name) {
   for (let n = 0; n < out.length; n++) out[n] = $exact(out[n], name) + 0;
   return out;
@@ -208,7 +208,7 @@ function $kindOf(x) {
   return "f";
 }
 
-// What lists, numbers and arrays are as an array.
+// Convert a list, number or array to an array.
 function $as(x, kind = null) {
   if (x instanceof NdArray) {
     if (!kind || kind === x.kind) return x;
@@ -325,8 +325,8 @@ function $expanded(x, shape) {
   return new NdArray(x.data, shape, x.kind, x.im, strides, x.offset);
 }
 
-// x and y with steps 0 (one number) or 1. Each is a function of its own, which the engine compiles for
-// the arrays that it meets.
+// x and y have steps 0 (one number) or 1. Each loop is a separate function, which the engine
+// compiles for the types of its arrays.
 const $loops = {
   add(n, x, p, y, q, o) {
     for (let k = 0; k < n; k++) o[k] = x[k * p] + y[k * q];
@@ -398,7 +398,8 @@ const $loops = {
     for (let k = 0; k < n; k++) o[k] = x[k * p] ^ y[k * q];
   },
 };
-// As exact as the C library's, and quicker than Math.hypot, which takes any number of numbers.
+// As exact as the C library's hypot, and faster than Math.hypot, which accepts any number of
+// arguments.
 function $hypot(a, b) {
   const s = a * a + b * b;
   return s > 1e-280 && s < 1e280 ? Math.sqrt(s) : Math.hypot(a, b);
@@ -424,7 +425,7 @@ function $complexLoop(word, n, x, xi, p, y, yi, q, o, oi) {
         oi[k] = a * d + b * c;
         break;
       case "div":
-        // as NumPy, which multiplies by an inverse
+        // like NumPy, which multiplies by an inverse
         if (c === 0 && d === 0) {
           o[k] = a / Math.abs(c);
           oi[k] = b / Math.abs(c);
@@ -471,7 +472,7 @@ function $complexLoop(word, n, x, xi, p, y, yi, q, o, oi) {
 
 const $logical = new Set(["lt", "le", "gt", "ge", "eq", "ne"]);
 
-// Where integers need another way than floats.
+// Operations whose integer form differs from the float form.
 const $integers = {
   ...$bitwise,
   floordiv: (a, b) => (b === 0 ? 0 : $down(a, b)),
@@ -535,10 +536,10 @@ function $elementwise(x, fn, kind = "f") {
   return $wrap(new NdArray(out, a.shape, kind));
 }
 
-// The complex array of two parts.
+// The complex array of a real and an imaginary part.
 const $joint = (re, im) =>
   $wrap(new NdArray($as(re).flat()[0], $as(re).shape, "c", $as(im).flat()[0]));
-// A real function of both parts of a complex array, or of a real one.
+// A real function of both parts of a complex array, or of a real array.
 function $parts(x, fn) {
   const a = $as(x);
   return a.im ? $joint($elementwise(a.real, fn), $elementwise(a.imag, fn)) : $elementwise(x, fn);
@@ -587,7 +588,7 @@ const $arrays = {
 
 const $isIndexArray = (x) => x instanceof NdArray || (Array.isArray(x) && x.constructor === Array);
 
-// A view for numbers, slices, None and …; else positions in the data, and their shape.
+// Return a view for numbers, slices, None and …; otherwise positions in the data, and their shape.
 function $resolve(x, index) {
   if (index instanceof Slice) index = $tuple([index]);
   if (
@@ -595,7 +596,7 @@ function $resolve(x, index) {
     index.$t &&
     index.every((p) => typeof p === "number" || p instanceof Slice)
   ) {
-    // the usual kind, quickly
+    // the most common kind, with a fast path
     const shape = [],
       strides = [];
     let offset = x.offset,
@@ -645,7 +646,7 @@ function $resolve(x, index) {
   const advanced = parts.some((p) => p instanceof NdArray);
   const shape = [],
     strides = [],
-    dims = []; // dims: of an advanced result, in order
+    dims = []; // dims: axes of an advanced result, in order
   let offset = x.offset,
     axis = 0;
   for (const p of parts) {
@@ -782,7 +783,7 @@ function $select(x, index) {
     index.kind !== "b" &&
     x.contiguous
   ) {
-    // rows by their numbers
+    // row numbers select rows
     const [at] = index.flat(),
       [d] = x.flat(),
       [rows, cols] = x.shape,
@@ -805,7 +806,7 @@ function $select(x, index) {
 
 function $scatter(x, positions, shape, value) {
   let v = $as(value, x.kind === "i" || x.kind === "b" ? x.kind : null);
-  if (v.data === x.data) v = v.copy(); // they may overlap
+  if (v.data === x.data) v = v.copy(); // source and target may overlap
   if (v.size === 1) {
     const [d, im] = v.flat();
     for (let n = 0; n < positions.length; n++) {
@@ -832,7 +833,7 @@ function $put(x, index, value) {
     value.ndim === 2 &&
     value.shape[1] === x.shape[1]
   ) {
-    // rows of a mask
+    // a mask selects rows
     const [mask] = index.flat(),
       [d] = value.flat(),
       cols = x.shape[1];
@@ -850,7 +851,7 @@ function $put(x, index, value) {
 
 // ---- along an axis ------------------------------------------------------------------------------
 
-// As NumPy adds: eight sums of blocks of 128, pairwise.
+// Sum in NumPy's order: eight sums of blocks of 128, pairwise.
 function $pairwise(d, from, n) {
   if (n < 8) {
     let s = 0;
@@ -887,8 +888,8 @@ function $pairwise(d, from, n) {
   return $pairwise(d, from, half) + $pairwise(d, from + half, n - half);
 }
 
-// The k-th of some numbers in order, by Hoare's selection: it stands at k then, nothing larger
-// before it, nothing smaller behind it.
+// Find the k-th smallest number by Hoare's selection. It is then at position k, with no larger
+// number before it and no smaller number after it.
 function $nth(s, k) {
   for (let low = 0, high = s.length - 1; low < high;) {
     const a = s[low],
@@ -977,7 +978,7 @@ const $reducers = {
   },
 };
 
-// The axes moved to the end, as [data, groups, length, shape left].
+// The axes moved to the end; returns [data, groups, length, remaining shape].
 function $grouped(x, axis) {
   const axes =
     axis == null
@@ -1026,7 +1027,7 @@ function $reduce(word, given, axis = null, keepdims = false, { initial } = {}) {
             ? "i"
             : "f";
   const out = $store(kind, groups);
-  // Along any axis but the last NumPy adds row upon row.
+  // Along any axis except the last, NumPy adds row by row.
   const rowwise = word === "sum" && axis !== null && x.ndim > 1 && !axes.includes(x.ndim - 1);
   for (let n = 0; n < groups; n++) {
     let v;
@@ -1047,7 +1048,7 @@ function $reduce(word, given, axis = null, keepdims = false, { initial } = {}) {
   }
   if (kind === "i" && (word === "sum" || word === "prod")) {
     $whole(out, word);
-    // what is summed on the way must be exact, too
+    // intermediate sums must be exact, too
     if (word === "sum" && x.kind === "i") $exact($pairwise(d.map(Math.abs), 0, d.length), word);
   }
   const whole = keepdims ? x.shape.map((size, n) => (axes.includes(n) ? 1 : size)) : shape;
@@ -1261,7 +1262,7 @@ Object.assign($np, {
   arange: $fn("a b step dtype", (a, b = null, step = 1, dtype = null) => {
     const [from, to] = b === null ? [0, a] : [a, b],
       n = Math.max(0, Math.ceil((to - from) / step)),
-      by = from + step - from, // as NumPy, which looks at its first two
+      by = from + step - from, // like NumPy, which uses the first two values
       out = new Float64Array(n);
     for (let k = 0; k < n; k++) out[k] = k ? from + k * by : from;
     return new NdArray(
@@ -1387,7 +1388,7 @@ Object.assign($np, {
       const [d, pi] = p.flat(),
         own = p.shape[along] * inner;
       if (own < 8) {
-        // short pieces are copied one by one
+        // copy short parts element by element
         for (let n = 0, from = 0; n < outer; n++)
           for (let k = 0, to = n * whole + at; k < own; k++, from++, to++) {
             out[to] = d[from];
@@ -1701,7 +1702,7 @@ Object.assign($np, {
       kind = x.kind === "f" || y.kind === "f" ? "f" : "i",
       shape = [...many, ...(front ? [] : [n]), ...(back ? [] : [m])];
     if (!im && n * m <= 256 && k > 4) {
-      // small results: as dot products
+      // compute small results as dot products
       for (let c = 0; c < count; c++)
         for (let i = 0; i < n; i++)
           for (let l = 0; l < m; l++) {
@@ -1761,7 +1762,7 @@ Object.assign($np, {
     );
     const plain = letters.every((own) => new Set(own).size === own.length);
     if (ops.length === 2 && plain) {
-      // a product of matrices
+      // a product of two matrices
       const [p, q] = letters,
         both = p.filter((c) => q.includes(c)),
         many = both.filter((c) => out.includes(c)),
@@ -1812,7 +1813,7 @@ Object.assign($np, {
   },
 });
 $np.intp = $np.int64;
-// The order of numbers in which NaN is last.
+// The order of numbers, with NaN last.
 const $less = (a, b) => a < b || (b !== b && a === a);
 const $known = (x) => {
   const a = $as(x).ravel();
@@ -1838,13 +1839,13 @@ const $fromRows = (rows, m) => {
 };
 const LinAlgError = $exception("LinAlgError", ValueError);
 
-// A x = b for one matrix; b is rows of right-hand sides.
+// Solve A x = b for one matrix; the rows of b are right-hand sides.
 function $solved(A, B) {
   const n = A.length,
     low = A.every((row, i) => row.every((v, j) => j <= i || v === 0)),
     up = !low && A.every((row, i) => row.every((v, j) => j >= i || v === 0));
   if ((low || up) && A.every((row, i) => row[i] !== 0)) {
-    // triangles need no elimination
+    // triangular matrices need no elimination
     for (let step = 0; step < n; step++) {
       const k = low ? step : n - 1 - step,
         own = B[k];
@@ -1879,11 +1880,12 @@ function $solved(A, B) {
   return B;
 }
 
-// U, singular values, V of a matrix with at least as many rows as columns, by one-sided Jacobi.
+// Return (U, singular values, V) of a matrix with at least as many rows as columns, by one-sided
+// Jacobi rotations.
 function $jacobi(x) {
   const U = $rows($as(x).T),
     m = U.length,
-    V = $rows($np.eye(m)); // columns as rows
+    V = $rows($np.eye(m)); // rows hold the columns of V
   const n = m ? U[0].length : 0;
   for (let sweep = 0; sweep < 60; sweep++) {
     let off = 0;
@@ -1922,7 +1924,7 @@ function $jacobi(x) {
   ];
 }
 
-// Householder's reduction of a symmetric matrix to three diagonals d, e; V becomes its rotation.
+// Householder's reduction of a symmetric matrix to diagonals d, e; V becomes its rotation.
 function $tridiagonal(V, d, e) {
   const n = V.length;
   for (let j = 0; j < n; j++) d[j] = V[n - 1][j];
@@ -2003,10 +2005,10 @@ function $tridiagonal(V, d, e) {
   e[0] = 0;
 }
 
-// Eigenvalues d and vectors, columns of V, from three diagonals, by the QL algorithm.
+// Eigenvalues d, and eigenvectors in the columns of V, from diagonals d, e, by the QL algorithm.
 function $ql(V, d, e) {
   const n = V.length;
-  // the rotations go over columns: the transpose has them as rows
+  // the rotations combine columns, which are rows of the transpose
   const W = Array.from({ length: n }, (_, j) => Float64Array.from(V, (row) => row[j]));
   for (let i = 1; i < n; i++) e[i - 1] = e[i];
   if (n) e[n - 1] = 0;
@@ -2196,7 +2198,7 @@ $np.linalg = {
     return $fromRows(M.slice(0, Math.min(n, m)), m);
   }),
 };
-// Fourier's transform of a size that is a power of two, in place.
+// Fourier transform in place, for a size that is a power of two.
 function $fft(re, im, sign) {
   const n = re.length;
   if (n & (n - 1)) throw NotImplementedError("fft: the size must be a power of two here");

@@ -1,6 +1,6 @@
-// The observers in WebAssembly, as binding/core.cpp shows them to Python.
+// The observers in WebAssembly, with the Python interface of binding/core.cpp.
 
-let $wasm = null; // the module's exports
+let $wasm = null; // exports of the module
 const [
   CONFIG,
   ADAPTIVE_CONFIG,
@@ -18,7 +18,7 @@ const PLAIN_OUTPUTS = 4,
   ADAPTIVE_OUTPUTS = 5,
   THRESHOLDS = 6,
   SIZES = 7,
-  USUAL = 8; // lists of fields beyond the first four
+  USUAL = 8; // lists of fields after the first four
 
 const $load = (binary) => {
   $wasm = new WebAssembly.Instance(new WebAssembly.Module(binary), {}).exports;
@@ -26,7 +26,7 @@ const $load = (binary) => {
 const $numbers = (at, count) => new Float64Array($wasm.memory.buffer, at, count);
 const $octets = (at, count) => new Uint8Array($wasm.memory.buffer, at, count);
 
-// [{name, offset, count}] of a list
+// Return [{name, offset, count}] for a list
 function $fieldsOf(list) {
   const view = new DataView($wasm.memory.buffer),
     out = [];
@@ -53,7 +53,7 @@ function $take(given, list, size = list) {
   return at;
 }
 
-// The fields of a list, from memory
+// Read the fields of a list from memory
 const $read = (at, list) =>
   $dict(
     $fieldsOf(list).map(({ name, offset, count }) => {
@@ -169,7 +169,7 @@ class PlainCore extends Compiled {
 class AdaptiveCore extends Compiled {
   constructor(core, config) {
     super(true);
-    this.core = core; // keeps its configuration and its map
+    this.core = core; // keeps configuration and map in memory
     const given = $take(config, ADAPTIVE_CONFIG);
     this.held.push(given);
     $checked(
@@ -194,7 +194,7 @@ class AdaptiveCore extends Compiled {
     return this.with(states, (at) => $wasm.restarts(at));
   }
 }
-// map_for and frozen are keywords in Python
+// map_for and frozen are keyword arguments in Python
 AdaptiveCore.prototype.restart = $fn("states frozen", AdaptiveCore.prototype.restart);
 
 const $outputNames = (list) => $fieldsOf(list).map(({ name, count }) => $tuple([name, count]));

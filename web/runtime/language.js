@@ -1,5 +1,5 @@
-// What Python means and JavaScript does not: the words that translate.py writes.
-// Names with $ are the translator's; the others are Python's own.
+// Python's semantics for the JavaScript that translate.py writes.
+// Names with $ belong to the translator; the other names are Python's own.
 
 const $modules = new Map(),
   $loaders = new Map();
@@ -29,7 +29,8 @@ class Kw {
 const $kw = (of) => new Kw(of);
 const $named = (d) => (d instanceof Dict ? Object.fromEntries($items(d)) : d);
 
-// Parameters by name: "a b *args =keyword_only **kwargs"; nothing where nobody names them.
+// Add keyword arguments to a function: "a b *args =keyword_only **kwargs"; without `words`, no
+// caller uses keywords.
 function $def(fn, words) {
   if (words === undefined) {
     fn.$def = true;
@@ -71,7 +72,7 @@ function $def(fn, words) {
   return out;
 }
 
-// A function of the runtime that takes keywords: names in order.
+// Give a function of the runtime keyword arguments; `names` are in order.
 const $fn = (names, fn) => $def(fn, names);
 
 class Property {
@@ -175,7 +176,7 @@ function object() {
 object.$isClass = true;
 object.$title = "object";
 object.$new = (cls, args) => {
-  // What can be called is a function here.
+  // A callable object is a function here.
   const self = cls.prototype.__call__
     ? Object.setPrototypeOf((...given) => self.__call__(...given), cls.prototype)
     : Object.create(cls.prototype);
@@ -354,7 +355,7 @@ function $eq(a, b) {
 }
 const $ne = (a, b) => ($isArray(a) || $isArray(b) ? $arrays.compare("ne", a, b) : !$same(a, b));
 
-// <0, 0, >0; NaN where they are not ordered
+// Return <0, 0 or >0; NaN if a and b are not ordered
 function $order(a, b) {
   if (Array.isArray(a) && Array.isArray(b)) {
     for (let n = 0; n < Math.min(a.length, b.length); n++)
@@ -446,7 +447,7 @@ const $div = $operator(
   (a, b) => a / b,
   (a, b) => (a && a.__truediv__ ? a.__truediv__(b) : undefined),
 );
-// What is left of a division that is rounded down, and its quotient, as NumPy has them.
+// Remainder and quotient of a division that is rounded down, as in NumPy.
 function $left(a, b) {
   const left = a % b;
   if (left === 0) return b < 0 ? -0 : 0;
@@ -462,7 +463,7 @@ function $down(a, b) {
 }
 const $floordiv = $operator("floordiv", $down);
 const $mod = $operator("mod", $left);
-// As in C, where 1 and, with an infinite exponent, -1 have powers, too.
+// As in C, powers of 1 exist for any exponent, and powers of -1 for infinite exponents.
 const $powered = (a, b) => (a === 1 || (a === -1 && Math.abs(b) === Infinity) ? 1 : a ** b);
 const $pow = $operator("pow", $powered);
 const $matmul = (a, b) => $arrays.matmul(a, b);
@@ -473,7 +474,7 @@ const $bits = (word, number) =>
     if (word === "or" && a instanceof Dict) return $dict([...$items(a), ...$items(b)]);
     if (word === "or" && $isType(a) && $isType(b)) return new Type("union", [a, b]);
   });
-// Of whole numbers of any size: the engine's own have 32 bits.
+// Bit operators for whole numbers of any size; the engine's operators have 32 bits.
 const $wide = (short, long) => (a, b) =>
   (a | 0) === a && (b | 0) === b ? short(a, b) : Number(long(BigInt(a), BigInt(b)));
 const $bitwise = {
@@ -507,7 +508,7 @@ const $pos = (x) => x;
 const $invert = (x) =>
   $isArray(x) ? $arrays.unary("invert", x) : typeof x === "boolean" ? !x : -x - 1;
 
-// In place: what is an object stays that object.
+// In-place operators: an object stays the same object.
 const $inplace = (operate) => (a, b) => {
   if ($isArray(a)) {
     const out = operate(a, b);
@@ -562,7 +563,7 @@ class Slice {
 const slice = (a, b, c = null) => (b === undefined ? new Slice(null, a, null) : new Slice(a, b, c));
 slice.$test = (x) => x instanceof Slice;
 
-// [first, count, step] of a slice of `size` items
+// Return [first, count, step] of a slice of `size` items
 function $span(s, size) {
   const step = s.step ?? 1;
   const clip = (x, low, high) => Math.min(Math.max(x < 0 ? x + size : x, low), high);
@@ -581,7 +582,7 @@ function $span(s, size) {
   return [first, Math.max(0, Math.ceil((last - first) / step)), step];
 }
 
-// Keys are equal by their contents where Python's are: tuples, data classes, numbers.
+// Keys are equal by content if Python compares them by content: tuples, data classes, numbers.
 const $ids = new WeakMap();
 let $lastId = 0;
 function $keyOf(key) {
@@ -910,11 +911,11 @@ const abs = (x) =>
       : x instanceof Complex
         ? Math.hypot(x.real, x.imag)
         : Math.abs(Number(x));
-// To the nearest whole number, ties to even.
+// Round to the nearest whole number, ties to even.
 function $rint(x) {
   const down = Math.floor(x),
     left = x - down;
-  if (!(left > 0)) return x; // whole, not finite
+  if (!(left > 0)) return x; // x is whole or not finite
   return left > 0.5 || (left === 0.5 && down % 2 !== 0) ? (down === -1 ? -0 : down + 1) : down;
 }
 function round(x, digits = null) {
@@ -929,7 +930,7 @@ tuple.$test = (x) => Array.isArray(x) && Boolean(x.$t);
 tuple.$made = undefined;
 const bool = (x = false) => $t(x);
 bool.$test = (x) => typeof x === "boolean";
-// A number's text; among ASCII, fewer characters are white space around numbers than elsewhere.
+// Strip the text of a number; in ASCII, Python accepts fewer white-space characters around numbers.
 const $bare = (text) =>
   /[^\0-\x7f]/.test(text) ? $strings.strip(text) : text.replace(/^[\t-\r ]+|[\t-\r ]+$/g, "");
 const $number = (given) => {
@@ -970,7 +971,7 @@ function int(x = 0, base = 10) {
   if (!Number.isFinite(value)) throw OverflowError("cannot convert infinity to an integer");
   return Math.trunc(value) + 0;
 }
-// Integers are doubles: one of 2**53 or more may stand for its neighbour.
+// Integers are doubles: an integer of 2**53 or more may represent its neighbour.
 function $exact(x, name) {
   if (x >= 2 ** 53 || x <= -(2 ** 53))
     throw OverflowError(`${name}: integers of 2**53 and more are not exact here`);
@@ -1021,9 +1022,9 @@ const ord = (c) => c.codePointAt(0),
   chr = (n) => String.fromCodePoint(n);
 const reversed = (x) => [...$iter(x)].reverse();
 const print = () => null;
-let open; // library.js has the files
+let open; // library.js defines the files
 
-// The numbers' own attributes, as of NumPy's scalars.
+// Attributes of numbers, as of NumPy's scalars.
 for (const kind of [Number, Boolean])
   for (const [name, get] of Object.entries({
     real() {
@@ -1155,7 +1156,7 @@ function repr(x) {
   return `<${$name(type(x))}>`;
 }
 
-// Texts of x ≥ 0 as Python rounds them, ties to even. A hundred digits tell a tie.
+// Format x ≥ 0 like Python, ties to even. A hundred digits are enough to detect a tie.
 const $halved = (long, keep) =>
   /^50*$/.test(long.slice(keep)) && /[02468]\.?$/.test(long.slice(0, keep));
 function $fixed(x, digits) {
@@ -1164,7 +1165,7 @@ function $fixed(x, digits) {
     keep = long.length - 100 + digits;
   return $halved(long, keep) ? long.slice(0, digits ? keep : keep - 1) : x.toFixed(digits);
 }
-// [digits, power of ten]
+// Return [digits, power of ten]
 function $scientific(x, digits) {
   const [long, power] = x.toExponential(100).split("e");
   if ($halved(long, 2 + digits)) return [long.slice(0, digits ? 2 + digits : 1), Number(power)];
@@ -1173,7 +1174,7 @@ function $scientific(x, digits) {
 }
 const $power = ([digits, at]) =>
   `${digits}e${at < 0 ? "-" : "+"}${String(Math.abs(at)).padStart(2, "0")}`;
-// `plain`: without a letter, where a float shows that it is one.
+// `plain`: without a letter; a float then shows that it is a float.
 function $general(x, digits, plain) {
   const p = digits || 1,
     [long, at] = $scientific(x, p - 1),
@@ -1239,7 +1240,7 @@ function format(x, spec = "") {
 }
 const $format = format;
 
-// What Python takes for white space, and what it does not print.
+// White space in Python, and characters that Python does not print.
 const $space =
     "[\\t-\\r\\x1c-\\x20\\x85\\xa0\\u1680\\u2000-\\u200a\\u2028\\u2029\\u202f\\u205f\\u3000]",
   $hidden = /(?! )[\p{C}\p{Z}]/gu,
@@ -1376,7 +1377,7 @@ const $lists = {
 const $bytes = (values) => Uint8Array.from(values);
 const bytes = (x = []) => Uint8Array.from($iter(x));
 bytes.$test = (x) => x instanceof Uint8Array;
-// What cp1252 has for the bytes 0x80 to 0x9f; where it has nothing, the engine keeps the byte.
+// The characters of cp1252 for the bytes 0x80 to 0x9f; if there is none, the engine keeps the byte.
 const $euro = new TextDecoder("windows-1252").decode(
   Uint8Array.from({ length: 32 }, (_, n) => 128 + n),
 );
@@ -1433,7 +1434,7 @@ function $decoded(b, encoding = "utf-8", errors = "strict") {
 }
 function $bytesFind(b, what, from = 0) {
   if (what.length === 1) return b.indexOf(what[0], from);
-  // the engine looks for one byte, best for one that is rarer than the end of a line
+  // the engine searches for one byte; a byte that is rarer than the end of a line is faster
   const at = Math.max(
       0,
       what.findIndex((c) => c !== 10),
@@ -1516,7 +1517,7 @@ function $call(x, name, ...args) {
           ? $byteMethods
           : null;
   if (methods && methods[name]) {
-    // Keywords of a method stand last, as everywhere.
+    // Keyword arguments are last, as everywhere.
     if (
       args.length &&
       args[args.length - 1] instanceof Kw &&

@@ -1,4 +1,4 @@
-// The parts of Python's library, and of pydantic, that the package uses.
+// The parts of Python's library and of pydantic that the package uses.
 
 const $types = (...names) => Object.fromEntries(names.map((name) => [name, new Type(name)]));
 
@@ -270,7 +270,7 @@ $module("csv", ($m) =>
                 if (at === line.length) {
                   const { done, value } = more.next();
                   if (done) break;
-                  line += value; // a cell of several lines
+                  line += value; // a cell with several lines
                 } else {
                   if (line[at] === '"' && line[++at] !== '"') break;
                   cell += line[at++];
@@ -300,7 +300,7 @@ $module("csv", ($m) =>
   }),
 );
 
-// Ratcliff and Obershelp, as Python's difflib.
+// The algorithm of Ratcliff and Obershelp, as in Python's difflib.
 $module("difflib", ($m) => {
   function matches(a, b, a0, a1, b0, b1) {
     let [bi, bj, size] = [a0, b0, 0],
@@ -361,7 +361,8 @@ class Match {
     return this.group(n);
   }
 }
-// Python's expressions as JavaScript's: what its classes hold, and where a line or a text ends.
+// Translate Python's regular expressions to JavaScript's: contents of classes, ends of lines and
+// texts.
 function $translated(source, bytes, lines) {
   const sets = {
     d: bytes ? "0-9" : "\\p{Nd}",
@@ -477,7 +478,7 @@ function $dataclass(cls, { eq = true, order = false } = {}) {
     }
     return Object.assign(field, { name });
   });
-  // A field that another class already gave a place keeps it.
+  // A field of a parent class keeps its position.
   cls.$fields = [
     ...inherited.map((f) => own.find((o) => o.name === f.name) ?? f),
     ...own.filter((o) => !inherited.some((f) => f.name === o.name)),
@@ -576,7 +577,7 @@ class PlainValidator {
   }
 }
 
-// The value as a field of this type takes it; throws [type, message].
+// Convert a value to the type of its field; throws [type, message].
 function $validated(kind, value, strict) {
   if (kind instanceof Type && kind.$title === "Annotated") {
     const [base, ...notes] = kind.args,
@@ -930,7 +931,7 @@ let $temporary = 0;
 $module("tempfile", ($m) =>
   Object.assign($m, { NamedTemporaryFile: () => new WrittenFile(`/tmp/${$temporary++}.csv`) }),
 );
-// What is compressed is unpacked when it is opened.
+// Compressed files are unpacked when they are opened.
 $module("fluxobs.logs.formats.text.packed", ($m) =>
   Object.assign($m, {
     open_packed: (path) => path.open(),
@@ -971,7 +972,7 @@ $module("tomllib", ($m) => {
   };
 });
 $module("scipy.interpolate", ($m) => {
-  // Splines of any coefficients over knots, by Cox and de Boor; as functions of x.
+  // Splines with any coefficients over knots, by Cox and de Boor, as functions of x.
   const basis = (knots, degree, k, x) => {
     if (degree === 0) return knots[k] <= x && x < knots[k + 1] ? 1 : 0;
     const a = knots[k + degree] - knots[k],
@@ -981,7 +982,7 @@ $module("scipy.interpolate", ($m) => {
       (b > 0 ? ((knots[k + degree + 1] - x) / b) * basis(knots, degree - 1, k + 1, x) : 0)
     );
   };
-  // Left limit at the end of the range.
+  // The value at the end of the range is the left limit.
   const basisAtEnd = (knots, degree, k, x) => {
     if (degree === 0) return knots[k] < x && x <= knots[k + 1] ? 1 : 0;
     const a = knots[k + degree] - knots[k],

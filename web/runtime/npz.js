@@ -1,9 +1,9 @@
-// Arrays of NumPy in files: .npy, and .npz, an archive of them.
+// Arrays of NumPy in files: .npy, and .npz, which is an archive of .npy files.
 
 const $u16 = (b, at) => b[at] | (b[at + 1] << 8),
   $u32 = (b, at) => ($u16(b, at) | ($u16(b, at + 2) << 16)) >>> 0;
 
-// [name, shape, columns or values] of the bytes of a .npy file
+// Return [name, shape, columns or values] from the bytes of a .npy file
 function $npy(b, path) {
   if (b[0] !== 0x93 || $decoded(b.subarray(1, 6), "latin-1") !== "NUMPY")
     throw ValueError("it does not begin as an array of NumPy");
@@ -59,7 +59,7 @@ function $npy(b, path) {
     };
   }
   const [w, get] = reader(/'descr':\s*'([^']*)'/.exec(head)[1]);
-  if (!get) return null; // text or objects
+  if (!get) return null; // text or objects, which are not supported
   const count = $product(shape),
     values = new Float64Array(count);
   for (let k = 0; k < count; k++) values[k] = get(k * w);
@@ -70,7 +70,7 @@ function $npy(b, path) {
   };
 }
 
-// Names and contents of an archive.
+// Return names and contents of an archive.
 function $unzipped(b) {
   try {
     return Object.entries($unzip(b));

@@ -1,6 +1,6 @@
-// Lines of delimited text as numbers: the counterpart of fluxobs/logs/formats/text/parse.py.
+// Parse lines of delimited text as numbers: the counterpart of fluxobs/logs/formats/text/parse.py.
 
-// What the parser says of a block of bytes.
+// Ask the parser in WebAssembly about a block of bytes.
 function $asked(block, question) {
   const at = $wasm.allocate(Math.max(8, block.length));
   $octets(at, block.length).set(block);
@@ -13,7 +13,7 @@ const $hasPair = (block, [one, other]) =>
   $asked(block, (at, size) => $wasm.has_pair(at, size, one, other)) > 0;
 
 const Ragged = $exception("Ragged", ValueError);
-// The number in a text, correctly rounded; undefined if it is none.
+// Return the number in a text, correctly rounded; undefined if the text is no number.
 function $numberIn(text, comma) {
   const found = $number(comma ? text.replace(",", ".") : text);
   return found === null || (comma && text.includes(".")) ? undefined : found;
@@ -51,7 +51,7 @@ class Cells {
         places,
         count;
       do {
-        // if more cells are to be looked at than is usual
+        // repeat if the host must read more cells than expected
         places = allocate(16 * most);
         $octets(text, block.length).set(block);
         new Int32Array($wasm.memory.buffer, at, width).set(slots);
@@ -148,7 +148,7 @@ class Cells {
   }
 }
 
-// A reader of stamps in one of the forms of strftime → [seconds, nanoseconds].
+// Return a reader of time stamps in one of the forms of strftime → [seconds, nanoseconds].
 const $months = [
   "jan",
   "feb",
@@ -218,12 +218,12 @@ $module("fluxobs.logs.formats.text.parse", ($m) =>
   Object.assign($m, { Ragged, Cells: { of: (...a) => Cells.of(...a) } }),
 );
 
-// Nothing is read ahead, and nothing is written, in a page.
+// A page neither reads ahead nor writes files.
 $module("fluxobs.core.output", ($m) =>
   Object.assign($m, { ahead: (parts) => parts, check_new: () => null, write_text: () => null }),
 );
 $module("fluxobs.core.html", () => {});
-// A page sees no files but its own.
+// A page sees only its own files.
 $module("fluxobs.core.references", ($m) =>
   Object.assign($m, { beside: (folder, name) => $div(folder, name) }),
 );
@@ -236,7 +236,7 @@ $module("fluxobs.core.input_files", ($m) => {
   });
 });
 
-// Formats whose libraries have no counterpart here.
+// Formats whose libraries have no counterpart in JavaScript.
 for (const name of ["polars_files", "mdf", "mat", "hdf5", "tdms", "ulog", "excel"])
   $module(`fluxobs.logs.formats.${name}`, ($m) => {
     const refuse = (path) => {

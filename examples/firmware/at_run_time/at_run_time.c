@@ -1,8 +1,8 @@
-/* What a drive does beside its interrupt: a motor that is chosen in the field, a start from Hall
- * sensors, a winding that warms up, an estimate for slower tasks, what outlives a power cycle.
+/* Tasks of a drive beside its interrupt: a motor chosen in the field, a start from Hall sensors, a
+ * winding that warms up, an estimate for slower tasks, data that survive a power cycle.
  *
- * For an export with --unknowns drift,resistance,inverter; without it the functions are those without
- * `adaptive` in their names. The functions declared here are yours to write.
+ * For an export with --unknowns drift,resistance,inverter. Without this option the names of the
+ * functions do not contain `adaptive`. You write the functions that are declared here.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -15,10 +15,10 @@
 #include "motor_config.h"
 #include "motor_observer.h"
 
-const uint8_t *memory_read(uint32_t *length); /* 0 where nothing was stored */
+const uint8_t *memory_read(uint32_t *length); /* 0 if nothing was stored */
 void memory_write(const uint8_t *bytes, uint32_t length);
 void complain(const char *field);
-float hall_angle(void); /* electrical, middle of the sector [rad] */
+float hall_angle(void); /* electrical angle of the sector's middle [rad] */
 bool hall_is_read(void);
 
 void usual_motor(void);
@@ -30,31 +30,31 @@ void every_second(float winding_temperature);
 void control_speed(void);
 void power_down(void);
 
-static fo_adaptive observer;           /* the motor's parameters, in RAM */
-static fo_adaptive_retunable in_use;   /* ... and their successor        */
+static fo_adaptive observer;           /* parameters of the motor, in RAM */
+static fo_adaptive_retunable in_use;   /* parameters in use and their successor */
 static fo_adaptive_state state;
 static fo_adaptive_estimate estimate;
 static fo_snapshot shared;
-static fo_config config;               /* of the motor in use ...                */
+static fo_config config;               /* configuration of the motor in use */
 static fo_adaptive_config adaptive;
-static bool config_known;              /* ... which a blob does not contain      */
+static bool config_known;              /* a blob does not contain the configuration */
 
-/* A motor that was exported on a desk: its motor_parameters.bin. If it needs a flux map, give it to
- * fo_use_map(&observer.plain, ...) here. */
+/* For a motor whose motor_parameters.bin was exported on a PC. If it needs a flux map, give the map
+ * to fo_use_map(&observer.plain, ...) here. */
 bool choose_motor(const uint8_t *blob, uint32_t length)
 {
     config_known = false;
     return fo_adaptive_unpack(&observer, blob, length) == FO_OK;
 }
 
-/* A motor that is known by its data sheet only: the formulas of `fluxobs export`. */
+/* For a motor of which only the data sheet is known: the formulas of `fluxobs export`. */
 bool describe_motor(float R_s, float L_s, float psi_f, float rated_current)
 {
     const fo_machine machine = fo_pmsm(R_s, L_s, psi_f, rated_current);
     const char *wrong = fo_configure(&config, &machine, motor_step_time);
     config_known = false;
     if (wrong != NULL) {
-        complain(wrong); /* "R_s": it is in milliohms, or not above zero */
+        complain(wrong); /* "R_s": it is in milliohms, or not positive */
         return false;
     }
     fo_adaptive_choose(&adaptive, &machine, motor_step_time, 48.0f,
@@ -67,7 +67,7 @@ bool describe_motor(float R_s, float L_s, float psi_f, float rated_current)
     return true;
 }
 
-/* The motor of this export. */
+/* For the motor of this export. */
 void usual_motor(void)
 {
     observer = motor_observer;
@@ -76,8 +76,8 @@ void usual_motor(void)
     config_known = true;
 }
 
-/* Before the interrupt runs: what was learnt comes back. The winding may have cooled: its resistance
- * may be off by a fifth. */
+/* Call this before the interrupt runs: it restores what was learnt. The winding may have cooled, so
+ * that the resistance may be wrong by a fifth. */
 void power_up(void)
 {
     uint32_t length = 0;
@@ -89,7 +89,7 @@ void power_up(void)
     }
 }
 
-/* The interrupt of the current control. */
+/* Interrupt of the current control. */
 void control_interrupt(const float voltage[2], const float current[2])
 {
     const fo_adaptive *now = fo_adaptive_take(&in_use, &state);
@@ -102,8 +102,9 @@ void control_interrupt(const float voltage[2], const float current[2])
     fo_publish(&shared, &estimate.position);
 }
 
-/* The assumed resistance follows the winding's sensor; what has been learnt beyond it stays. Only fields
- * of the configuration in use are changed, not its bases: psi is adaptive.psi_f. */
+/* The assumed resistance follows the winding's temperature sensor; the learnt difference stays.
+ * Change only fields of the configuration in use, but not its bases: psi changes in
+ * adaptive.psi_f. */
 void every_second(float winding_temperature)
 {
     fo_config warm = config;
@@ -113,12 +114,12 @@ void every_second(float winding_temperature)
     const float copper = 1.0f + 0.0039f * (winding_temperature - 20.0f);
     warm.R[0][0] = warm.R[1][1] = config.R[0][0] * copper;
     const fo_error error = fo_adaptive_retune(&in_use, &warm, &adaptive);
-    if (error != FO_OK && error != FO_ERROR_BUSY) { /* busy: the next second will do */
+    if (error != FO_OK && error != FO_ERROR_BUSY) { /* if busy, the next second will do */
         complain("R");
     }
 }
 
-/* A task that is slower than the interrupt, and may be interrupted by it. */
+/* A task that is slower than the interrupt, and that the interrupt may interrupt. */
 void control_speed(void)
 {
     fo_estimate now;
@@ -127,7 +128,7 @@ void control_speed(void)
     }
 }
 
-/* When the interrupt no longer runs. */
+/* Call this when the interrupt no longer runs. */
 void power_down(void)
 {
     uint8_t saved[FO_SAVED_BYTES];

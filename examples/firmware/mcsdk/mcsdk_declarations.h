@@ -1,7 +1,7 @@
-/* What mcsdk_fluxobs.c uses of ST's motor control SDK (X-CUBE-MCSDK 5.4.4): names, types and fields as
- * facts, a subset. MCLib/Any/Inc/: mc_type.h, speed_pos_fdbk.h, bus_voltage_sensor.h; generated:
- * drive_parameters.h, parameters_conversion.h, power_stage_parameters.h, mc_stm_types.h. The numbers
- * are an example; the Workbench generates yours. The real structures have more fields.
+/* The part of ST's motor control SDK (X-CUBE-MCSDK 5.4.4) that mcsdk_fluxobs.c uses: names, types
+ * and fields, as facts. MCLib/Any/Inc/: mc_type.h, speed_pos_fdbk.h, bus_voltage_sensor.h.
+ * Generated: drive_parameters.h, parameters_conversion.h, power_stage_parameters.h, mc_stm_types.h.
+ * The numbers are an example; the Workbench generates yours. The real structures have more fields.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -16,7 +16,7 @@
 #define VBUS_PARTITIONING_FACTOR 0.0300
 #define PWM_FREQUENCY 10000
 #define REGULATION_EXECUTION_RATE 1 /* PWM periods from one control to the next */
-#define SPEED_UNIT 10               /* of a mechanical speed: parts of 1 Hz */
+#define SPEED_UNIT 10               /* unit of a mechanical speed: 1 Hz / this */
 
 typedef struct {
     int16_t alpha, beta;

@@ -2,11 +2,11 @@
  *
  * In the generated mc_tasks.c call fluxobs_mcsdk_start() at the end of FOC_Clear, and
  *     fluxobs_mcsdk_run(&FOCVars[M1], VBS_GetAvBusVoltage_d(&(pBusSensorM1->_Super)));
- * in TSK_HighFrequencyTask after FOC_CurrControllerM1. Hand fluxobs_speed to STC_SetSpeedSensor when
- * fluxobs_mcsdk_run has returned true for some milliseconds.
+ * in TSK_HighFrequencyTask after FOC_CurrControllerM1. Pass fluxobs_speed to STC_SetSpeedSensor
+ * when fluxobs_mcsdk_run has returned true for some milliseconds.
  *
- * The adaptive observer: fo_adaptive_state, fo_adaptive_estimate, fo_adaptive_reset and
- * fo_adaptive_step; estimate.position in place of estimate; motor_observer.plain.sample_time.
+ * For the adaptive observer use fo_adaptive_state, fo_adaptive_estimate, fo_adaptive_reset,
+ * fo_adaptive_step, estimate.position in place of estimate, and motor_observer.plain.sample_time.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -18,13 +18,14 @@
 void fluxobs_mcsdk_start(void);
 bool fluxobs_mcsdk_run(const FOCVars_t *foc, uint16_t bus);
 
-/* How long the angle is trusted after the position has last been known [s]. */
+/* Time for which the angle is trusted after the last valid position [s]. */
 #define PATIENCE 0.01f
 /* Full scale of a current, 32768 [s16A], and of the bus voltage, 65536 [u16V]. */
 #define AMPERES ((float)(ADC_REFERENCE_VOLTAGE / (2.0 * RSHUNT * AMPLIFICATION_GAIN)))
 #define BUS_VOLTS ((float)(ADC_REFERENCE_VOLTAGE / VBUS_PARTITIONING_FACTOR))
-/* Share of the control's period from a sample until its command acts. The ADC samples at the
- * counter's top; the timer takes new duties at its bottom, once in a control's period. */
+/* Share of the control's period between a sample and the effect of its command. The ADC samples
+ * when the counter is at its top. The timer loads new duties at its bottom, once in a control's
+ * period. */
 #define ACTS_AFTER (1.0f - 0.5f / (float)REGULATION_EXECUTION_RATE)
 #define COUNTS_PER_RADIAN 10430.3784f
 
@@ -32,10 +33,11 @@ SpeednPosFdbk_Handle_t fluxobs_speed = {.bElToMecRatio = motor_pole_pairs};
 
 static fo_state state;
 static fo_estimate estimate;
-static float last[2], before[2]; /* commanded one and two interrupts ago, alpha and beta [V] */
+static float last[2], before[2]; /* commands of the last interrupt and the one before, alpha and
+                                  * beta [V] */
 static float since_valid = 1e9f; /* [s] */
 
-/* With the PWM off no interrupt comes. */
+/* With the PWM off there are no interrupts. */
 void fluxobs_mcsdk_start(void)
 {
     fo_reset(&motor_observer, &state);
@@ -43,10 +45,11 @@ void fluxobs_mcsdk_start(void)
     since_valid = 1e9f;
 }
 
-/* Tells whether fluxobs_speed can be relied on. */
+/* Returns whether fluxobs_speed is reliable. */
 bool fluxobs_mcsdk_run(const FOCVars_t *foc, uint16_t bus)
 {
-    /* ST's beta axis points the other way. A command of 32768 is the bus over the root of 3. */
+    /* ST's beta axis has the opposite direction. A command of 32768 is the bus voltage /
+     * sqrt(3). */
     const float amperes = AMPERES / 32768.0f;
     const float volts = BUS_VOLTS * (float)bus / 65536.0f * 0.57735027f / 32768.0f;
     const float current[2] = {amperes * foc->Ialphabeta.alpha, -amperes * foc->Ialphabeta.beta};
@@ -54,14 +57,14 @@ bool fluxobs_mcsdk_run(const FOCVars_t *foc, uint16_t bus)
                              ACTS_AFTER * before[1] + (1.0f - ACTS_AFTER) * last[1]};
     before[0] = last[0];
     before[1] = last[1];
-    last[0] = volts * foc->Valphabeta.alpha; /* the command that was made in this interrupt */
+    last[0] = volts * foc->Valphabeta.alpha; /* command of this interrupt */
     last[1] = -volts * foc->Valphabeta.beta;
 
     fo_step(&motor_observer, &state, acting, current, &estimate);
     since_valid = estimate.valid ? 0.0f : since_valid + motor_observer.sample_time;
 
-    /* The next interrupt takes the angle, for a current one period younger. ST's angle is that of the
-     * q axis: a quarter of a turn ahead of the magnet. */
+    /* The next interrupt uses this angle for a current that is one period newer. ST's angle is that
+     * of the q axis: a quarter of a turn ahead of the magnet. */
     const float step = estimate.speed_e * motor_observer.sample_time;
     const float counts = COUNTS_PER_RADIAN * (estimate.theta_e_tracked + step) + 16384.0f;
     fluxobs_speed.hElAngle = (int16_t)(uint16_t)(int32_t)counts;

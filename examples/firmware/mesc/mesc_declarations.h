@@ -1,4 +1,4 @@
-/* What mesc_fluxobs.c uses of MESC: names, types and fields as facts, a subset.
+/* The part of MESC that mesc_fluxobs.c uses: names, types and fields, as facts. Source:
  * github.com/davidmolony/MESC_Firmware, commit aa159cc6, MESC_Common/Inc/: MESCfoc.h,
  * MESCmotor_state.h. The real structures have more fields, in another order.
  *

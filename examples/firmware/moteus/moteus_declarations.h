@@ -1,6 +1,6 @@
-/* What moteus_fluxobs.h uses of the moteus firmware: names, types and fields as facts, a subset.
- * github.com/mjbots/moteus, commit db1a7623, fw/bldc_servo_structs.h. The real structures have more
- * fields, in another order.
+/* The part of the moteus firmware that moteus_fluxobs.h uses: names, types and fields, as facts.
+ * Source: github.com/mjbots/moteus, commit db1a7623, fw/bldc_servo_structs.h. The real structures
+ * have more fields, in another order.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -21,7 +21,7 @@ struct BldcServoStatus {
 };
 
 struct BldcServoControl_Control {
-    Vec3 pwm; /* 0 to 1; all 0 where no duty was commanded */
+    Vec3 pwm; /* 0 to 1; all 0 if no duty was commanded */
 };
 
 }

@@ -1,7 +1,7 @@
-/* What odrive_fluxobs.cpp uses of the ODrive firmware: names, types and fields as facts, a subset.
- * github.com/odriverobotics/ODrive, commit f9b5419c (fw-v0.5.6), Firmware/MotorControl/: component.hpp
- * (OutputPort), foc.hpp, motor.hpp, sensorless_estimator.hpp, axis.hpp; Firmware/Board/v3/Inc/: board.h,
- * main.h. The real classes have more members, in another order.
+/* The part of the ODrive firmware that odrive_fluxobs.cpp uses: names, types and fields, as facts.
+ * Source: github.com/odriverobotics/ODrive, commit f9b5419c (fw-v0.5.6). Firmware/MotorControl/:
+ * component.hpp (OutputPort), foc.hpp, motor.hpp, sensorless_estimator.hpp, axis.hpp.
+ * Firmware/Board/v3/Inc/: board.h, main.h. The real classes have more members, in another order.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -30,7 +30,7 @@ public:
     std::optional<T> present() { return age_ == 0 ? std::optional<T>(content_) : std::nullopt; }
 
 private:
-    uint32_t age_ = 2; /* control loops since it was set */
+    uint32_t age_ = 2; /* control loops since the value was set */
     T content_;
 };
 
@@ -58,7 +58,7 @@ class SensorlessEstimator {
 public:
     OutputPort<float> phase_ = 0.0f;        /* [rad] */
     OutputPort<float> phase_vel_ = 0.0f;    /* electrical [rad/s] */
-    OutputPort<float> vel_estimate_ = 0.0f; /* of the shaft [turns/s] */
+    OutputPort<float> vel_estimate_ = 0.0f; /* speed of the shaft [turns/s] */
 };
 
 class Axis {

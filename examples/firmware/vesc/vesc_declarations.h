@@ -1,7 +1,7 @@
-/* What vesc_fluxobs.c uses of the VESC firmware: names, types and fields as facts, a subset.
- * github.com/vedderb/bldc, commit b9d287b3 (7.01): motor/foc_math.h (motor_state_t,
- * motor_all_state_t), datatypes.h (mc_state, mc_foc_control_sample_mode, mc_configuration).
- * The real structures have more fields, in another order.
+/* The part of the VESC firmware that vesc_fluxobs.c uses: names, types and fields, as facts.
+ * Source: github.com/vedderb/bldc, commit b9d287b3 (7.01): motor/foc_math.h (motor_state_t,
+ * motor_all_state_t), datatypes.h (mc_state, mc_foc_control_sample_mode, mc_configuration). The
+ * real structures have more fields, in another order.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -21,7 +21,7 @@ typedef struct {
 } mc_configuration;
 
 typedef struct {
-    float mod_alpha_measured, mod_beta_measured; /* 1: 2/3 of the bus; dead time taken off */
+    float mod_alpha_measured, mod_beta_measured; /* 1: 2/3 of the bus; without dead time */
     float i_alpha, i_beta;                       /* [A] */
     float v_bus;                                 /* [V], low pass */
 } motor_state_t;

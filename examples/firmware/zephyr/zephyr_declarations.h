@@ -1,7 +1,7 @@
-/* What zephyr_fluxobs.c uses of Zephyr and of ST's low-level drivers in its module hal_stm32: names,
- * types and macros as facts, a subset. github.com/zephyrproject-rtos/zephyr 4.2: include/zephyr/irq.h,
- * toolchain.h, sys/atomic.h, sys/util_macro.h; hal_stm32: stm32f4xx_ll_adc.h, stm32f4xx_ll_tim.h. What
- * the macros expand to here is not what Zephyr makes of them.
+/* The part of Zephyr, and of ST's low-level drivers in its module hal_stm32, that zephyr_fluxobs.c
+ * uses: names, types and macros, as facts. Source: github.com/zephyrproject-rtos/zephyr 4.2:
+ * include/zephyr/irq.h, toolchain.h, sys/atomic.h, sys/util_macro.h; hal_stm32: stm32f4xx_ll_adc.h,
+ * stm32f4xx_ll_tim.h. The macros expand here to other code than in Zephyr.
  *
  * SPDX-License-Identifier: MIT
  */

@@ -1,12 +1,12 @@
 /* fluxobs in a Zephyr application: a zero-latency interrupt at the end of the currents' conversion.
  *
- * Zephyr has no interface for a current control. Timer and ADC are those of an STM32F405, set up by the
- * application: TIM1 counts up and down, repetition counter 1; three low-side shunts are sampled at its
- * top. The functions declared here are yours to write. Such an interrupt must not call the kernel; a
- * thread fetches the position by fluxobs_zephyr_get.
+ * Zephyr has no interface for a current control. The application sets up timer and ADC of an
+ * STM32F405: TIM1 counts up and down with repetition counter 1, and three low-side shunts are
+ * sampled at the timer's top. You write the functions that are declared here. A zero-latency
+ * interrupt must not call the kernel; a thread fetches the position by fluxobs_zephyr_get.
  *
- * The adaptive observer: fo_adaptive_state, fo_adaptive_estimate, fo_adaptive_reset and
- * fo_adaptive_step; estimate.position in place of estimate; motor_observer.plain.sample_time.
+ * For the adaptive observer use fo_adaptive_state, fo_adaptive_estimate, fo_adaptive_reset,
+ * fo_adaptive_step, estimate.position in place of estimate, and motor_observer.plain.sample_time.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -17,7 +17,7 @@
 
 struct fluxobs_position {
     float theta_e, speed_e; /* electrical [rad], [rad/s] */
-    bool valid;             /* or has been within PATIENCE */
+    bool valid;             /* valid now, or within the last PATIENCE */
 };
 
 void motor_control(const float current[2], float udc, const struct fluxobs_position *position);
@@ -26,23 +26,24 @@ struct fluxobs_position fluxobs_zephyr_get(void);
 
 BUILD_ASSERT(IS_ENABLED(CONFIG_FPU_SHARING), "the interrupt spoils the threads' registers");
 
-#define PATIENCE 0.01f                      /* how long the angle is trusted while not valid [s] */
-#define COUNTS_AT_ZERO 2048.0f              /* of the board: a shunt without current */
-#define AMPERES_PER_COUNT (-3.3f / 4096.0f / (0.005f * 10.0f)) /* sign: positive into the machine */
+#define PATIENCE 0.01f                      /* time for which an old angle is trusted [s] */
+#define COUNTS_AT_ZERO 2048.0f              /* counts of a shunt without current */
+#define AMPERES_PER_COUNT (-3.3f / 4096.0f / (0.005f * 10.0f)) /* positive into the machine */
 #define VOLTS_PER_COUNT (3.3f / 4096.0f * 31.0f)
-/* Share of the period from a sample until its command acts. The timer takes new duties half a period
- * after the sample; 1.0f if its update is at the sample, as with a repetition counter set off by one. */
+/* Share of the period between a sample and the effect of its command. The timer loads new duties
+ * half a period after the sample. Use 1.0f if the timer loads them at the sample, as with a
+ * repetition counter that is shifted by one. */
 #ifndef ACTS_AFTER
 #define ACTS_AFTER 0.5f
 #endif
 
 static fo_state state;
 static fo_estimate estimate;
-static float before[2] = {NAN, NAN}; /* commanded two interrupts ago, alpha and beta [V] */
-static bool was_on;                  /* the gates in the last interrupt */
+static float before[2] = {NAN, NAN}; /* command two interrupts ago, alpha and beta [V]   */
+static bool was_on;                  /* whether the gates were on in the last interrupt */
 static float since_valid = 1e9f;     /* [s] */
 static struct fluxobs_position shared;
-static atomic_t times; /* that `shared` has been written */
+static atomic_t times; /* how often `shared` has been written */
 
 static void to_alpha_beta(float a, float b, float c, float factor, float result[2])
 {
@@ -56,7 +57,7 @@ ISR_DIRECT_DECLARE(fluxobs_adc_isr)
     const float udc = VOLTS_PER_COUNT * LL_ADC_INJ_ReadConversionData12(ADC1, LL_ADC_INJ_RANK_2);
     const bool on = LL_TIM_IsEnabledAllOutputs(TIM1) != 0;
     LL_ADC_ClearFlag_JEOS(ADC1);
-    /* COUNTS_AT_ZERO drops out, as long as it is the same for all. */
+    /* COUNTS_AT_ZERO cancels if it is the same for all shunts. */
     to_alpha_beta(LL_ADC_INJ_ReadConversionData12(ADC1, LL_ADC_INJ_RANK_1) - COUNTS_AT_ZERO,
                   LL_ADC_INJ_ReadConversionData12(ADC2, LL_ADC_INJ_RANK_1) - COUNTS_AT_ZERO,
                   LL_ADC_INJ_ReadConversionData12(ADC3, LL_ADC_INJ_RANK_1) - COUNTS_AT_ZERO,
@@ -89,7 +90,7 @@ void fluxobs_zephyr_start(void)
     irq_enable(ADC_IRQn);
 }
 
-/* From a thread: the interrupt may come in between, never the other way round. */
+/* For a thread: the interrupt may interrupt this function, but not the other way round. */
 struct fluxobs_position fluxobs_zephyr_get(void)
 {
     struct fluxobs_position copy;

@@ -1,4 +1,4 @@
-"""The adaptive observer: fast start; learns resistance, inverter, magnet flux and inductances.
+"""The adaptive observer starts fast; it learns resistance, inverter, magnet flux, inductances.
 
 The numbers come from firmware/fluxobs_adaptive.c, the same source that runs in a drive.
 """
@@ -24,23 +24,23 @@ from .plain import LeastSquaresObserver
 from .requirements import require_not_negative, require_positive
 from .unknowns import ADAPTED
 
-#: When the immersion is projected: see :class:`AdaptiveObserver`.
+#: Time when the immersion is projected, see :class:`AdaptiveObserver`.
 Projection = Literal["never", "start"]
 PROJECTIONS: tuple[Projection, ...] = ("never", "start")
 
-#: Default standard deviations of resistance, magnet flux and inductance, as shares of their values,
-#: and of the inverter's voltage, as shares of the rated resistive drop and of the DC link.
+#: Default standard deviations: of resistance, magnet flux and inductance as shares of their values;
+#: of the inverter's voltage as shares of the rated resistive drop and of the DC link.
 RESISTANCE_SHARE: float = _core.usual["RESISTANCE_SHARE"]
 PSI_SHARE: float = _core.usual["PSI_SHARE"]
 INDUCTANCE_SHARE: float = _core.usual["INDUCTANCE_SHARE"]
 INVERTER_SHARE: float = _core.usual["INVERTER_SHARE"]
 DC_LINK_SHARE: float = _core.usual["DC_LINK_SHARE"]
-#: Default standard deviations of a current offset, as a share of the rated current, of the
-#: asymmetry [1], and of the lag [samples].
+#: Default standard deviations: of a current offset as a share of the rated current, of the
+#: asymmetry [1], of the lag [samples].
 OFFSET_SHARE: float = _core.usual["OFFSET_SHARE"]
 ASYMMETRY_STD: float = _core.usual["ASYMMETRY_STD"]
 LAG_STD: float = _core.usual["LAG_STD"]
-#: A larger standard deviation, as a share of the resistance, must have a wrong unit.
+#: Largest standard deviation as a share of the resistance; a larger one must have a wrong unit.
 MAX_RESISTANCE_SHARE = 10.0
 #: Time in which a parameter may change by one standard deviation [s].
 SLOW_MEMORY: float = _core.usual["SLOW_MEMORY"]
@@ -127,8 +127,9 @@ class Learnt:
 class AdaptiveEstimate(Estimate):
     """Estimate of the adaptive observer: an :class:`Estimate` with learnt parameters.
 
-    psi_f is the magnet flux here, not the active flux of a salient machine. Before `adapting` is
-    first true, it is the length of the position vector, and psi_f_std is the prior's.
+    psi_f is the magnet flux here, not the active flux of a salient machine. Until `adapting` is
+    true for the first time, psi_f is the length of the position vector, and psi_f_std is the prior
+    standard deviation.
     """
 
     psi_f_std: Array = field(metadata=output("Wb", "Standard deviation of psi_f"))
@@ -140,15 +141,13 @@ class AdaptiveEstimate(Estimate):
         metadata=output("V", "Standard deviation of inverter_voltage")
     )
     theta_e_other: Array = field(
-        metadata=output(
-            "rad", "The less likely of two candidate positions, while both are possible"
-        )
+        metadata=output("rad", "Less likely candidate position, while two candidates are possible")
     )
     weight_other: Array = field(metadata=output("", "Weight of theta_e_other, up to ½"))
     adapting: NDArray[np.bool_] = field(
         metadata=output(
             "",
-            "The filter for all unknowns runs; before, candidate positions are followed",
+            "The filter for all unknowns runs; before that, candidates are fitted",
             boolean=True,
             in_files=False,
         )
@@ -156,7 +155,7 @@ class AdaptiveEstimate(Estimate):
 
 
 def default_resistance_std(machine: RotatingMachine) -> float:
-    """Return the standard deviation of R_s [Ω]: from the machine file, else half of R_s."""
+    """Return the standard deviation of R_s [Ω] from the machine file, by default half of R_s."""
     std = machine.R_s_std
     return RESISTANCE_SHARE * machine.R_s if std is None else std
 
@@ -164,8 +163,8 @@ def default_resistance_std(machine: RotatingMachine) -> float:
 def default_inverter_std(machine: RotatingMachine, rated_current: float, dc_link: float) -> float:
     """Return the standard deviation of the inverter's voltage [V].
 
-    It is that of the machine file, else the larger of a quarter of the rated resistive drop and 2 %
-    of the DC link.
+    The machine file states it; the default is a quarter of the rated resistive drop or 2 % of the
+    DC link, whichever is larger.
     """
     std = machine.inverter_voltage_std
     drop = INVERTER_SHARE * machine.R_s * rated_current
@@ -178,15 +177,16 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
 
     A fast filter for (flux, drift) uses the residual of the machine's relation, averaged over an
     eighth of a turn. The parameters (magnet flux, resistance, the inverter's voltage loss, current
-    offsets, an asymmetry of the phases) are learnt from the innovations of the fast filter; their
-    rows follow in the same information factor. Their uncertainty is part of the position's standard
-    deviation, and decides whether a position can be valid. A parameter that the data do not
-    determine keeps its prior: at constant speed and load, resistance, inverter and magnet flux are
-    not identifiable separately. A standard deviation of 0 marks a parameter as exact.
+    offsets, an asymmetry of the phases) are learnt from the innovations of the fast filter; the
+    rows of the parameters follow those of the filter in the same information factor. The
+    uncertainty of the parameters is part of the position's standard deviation, and decides whether
+    a position can be valid. A parameter that the data do not determine keeps its prior: at constant
+    speed and load, resistance, inverter and magnet flux are not identifiable separately. A standard
+    deviation of 0 marks a parameter as exact.
 
-    A :class:`LeastSquaresObserver` runs inside, on voltages corrected by the learnt parameters. It
-    starts the filter and guards it. Until its position is known, its information is projected on
-    the manifold of consistent (flux, drift, magnet flux).
+    A :class:`LeastSquaresObserver` runs inside, on voltages corrected by the learnt parameters.
+    This plain observer starts the filter and guards it. Until the position of the plain observer is
+    known, its information is projected on the manifold of consistent (flux, drift, magnet flux).
 
     :meth:`for_machine` chooses these fields from a machine.
 
@@ -204,34 +204,37 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Assumed dead time and device drops of a phase, and their standard deviation [V].
     inverter_current : float
         Phase current at which the inverter's smoothed sign, tanh(i / this), reaches three quarters
-        [A]. Only its order of magnitude matters: the loss is a sum of a harder and a softer sign.
+        [A]. Only the order of magnitude matters: the loss is a sum of a harder and a softer sign.
     offset_std : float
         Standard deviation of the offset of a current component [A].
     asymmetry_std : float
         Standard deviation of both components of g in u' = u + g conj(u) [1].
     L_d_std, L_q_std : float
-        Standard deviations of the inductances along d and q, as shares of them [1]. They are learnt
-        where identifiable: L_d with a current along d, L_q of a salient machine. An error of L_q
-        turns the position; its uncertainty is part of the position's standard deviation.
+        Standard deviations of the inductances along d and q, as shares of the inductances [1]. The
+        observer learns L_d if there is a current along d, and L_q if the machine is salient. An
+        error of L_q turns the position; the uncertainty of L_q is part of the position's standard
+        deviation.
     lag_std : float
-        Standard deviation of the delay of the voltages [s]. Its error leaves no residual; it is
-        part of the position's standard deviation.
+        Standard deviation of the delay of the voltages [s]. An error of the delay leaves no
+        residual; this standard deviation is part of the standard deviation of the position.
     slow_memory : float
         Time in which a parameter may change by one standard deviation [s].
     projection : {"start", "never"}
-        "never": wait with the start for the plain observer's position, about a turn.
+        "never": the start waits for the plain observer's position, about a turn.
 
     Raises
     ------
     ObserverError
         A value is negative or not finite, sizes are inconsistent, a standard deviation is far
-        larger than its parameter, or the slow memory is shorter than the plain observer's.
+        larger than its parameter, or the slow memory is shorter than the memory of the plain
+        observer.
 
     References
     ----------
-    docs/theory.md, section 13; firmware/fluxobs_learning.c. Bierman, Factorization Methods for
-    Discrete Sequential Estimation, 1977: information factors and considered parameters. Friedland,
-    Treatment of bias in recursive filtering, 1969, doi:10.1109/TAC.1969.1099223: separate filters.
+    docs/theory.md, section 13; firmware/fluxobs_learning.c. Information factors and considered
+    parameters: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977. Separate
+    filters: Friedland, Treatment of bias in recursive filtering, 1969,
+    doi:10.1109/TAC.1969.1099223.
 
     Examples
     --------
@@ -344,9 +347,9 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         Parameters
         ----------
         machine : RotatingMachine
-            Its inverter_voltage and inverter_current are the values assumed for the inverter.
+            The machine, with the assumed inverter_voltage and inverter_current.
         sample_time : float
-            [s].
+            Sample time [s].
         unknowns : tuple of {"drift", "resistance", "inverter", "asymmetry"}
             The drift, which current offsets cause, is always estimated.
         priors : Priors
@@ -438,7 +441,7 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         )
 
     def learnt(self, state: CompiledState, lane: int = 0) -> Learnt:
-        """Return the parameters learnt in `state` (in one lane of it)."""
+        """Return the parameters learnt in one lane of `state`."""
         raw_values: dict[str, Any] = self._core.learnt(state.raw, lane)
         raw_values["resistance"] = self.resistance + raw_values.pop("resistance_error")
         values: dict[str, Any] = {
@@ -455,11 +458,11 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
         return CompiledState(self._core.restart(state.raw, frozen), state.batch)
 
     def restarts(self, state: CompiledState, lane: int = 0) -> int:
-        """Return how often the guard restarted the filter in `state` (in one lane of it)."""
+        """Return how often the guard restarted the filter in one lane of `state`."""
         return int(self._core.restarts(state.raw, lane))
 
     def parameters(self) -> dict[str, Any]:
-        """Return all numbers that a step uses beyond the plain observer's.
+        """Return all numbers that a step uses in addition to the plain observer's numbers.
 
         The order is that of fo_adaptive (firmware/fluxobs_adaptive.h).
         """

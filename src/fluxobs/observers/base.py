@@ -20,7 +20,7 @@ class Estimate:
     flux: Array = field(
         metadata=output(
             "Wb",
-            "Flux linkage. A current bias δ_i adds L δ_i to it (theory, section 3)",
+            "Flux linkage. A current bias δ_i adds L δ_i to the flux (theory, section 3)",
             vector=True,
         )
     )
@@ -32,14 +32,14 @@ class Estimate:
     theta_e: Array = field(
         metadata=output(
             "rad",
-            "Electrical position directly from the flux, in (-π, π], always finite",
+            "Electrical position computed from the flux, in (-π, π]; always finite",
         )
     )
     theta_e_tracked: Array = field(metadata=output("rad", "Tracked position, in (-π, π]"))
     speed_e: Array = field(metadata=output("rad/s", "Electrical speed"))
     drift: Array = field(
         metadata=output(
-            "V", "R δ_i - B δ_u, rate at which the open-loop flux integral drifts", vector=True
+            "V", "R δ_i - B δ_u: the rate at which the open-loop flux integral drifts", vector=True
         )
     )
     theta_e_std: Array = field(
@@ -53,13 +53,13 @@ class Estimate:
     innovation: Array = field(
         metadata=output(
             "",
-            "Residual of the constraint before the update, over its assumed noise",
+            "Residual of the constraint before the update, divided by its assumed noise",
             in_files=False,
         )
     )
     noise_share: Array = field(
         metadata=output(
-            "", "Share of the flux information that is noise; 1: no position", in_files=False
+            "", "Share of noise in the flux information; 1 means no position", in_files=False
         )
     )
 
@@ -95,12 +95,13 @@ EstimateType = TypeVar("EstimateType", covariant=True)
 
 
 class Observer(Protocol[State, EstimateType]):
-    """Protocol of all observers: the state is data, the observer a frozen object.
+    """Protocol of all observers: the state is data, and the observer is a frozen object.
 
     `step` takes the current sampled now and the mean voltage over the interval that ends now; `run`
-    gives the same numbers for a whole record. No argument is mutated. Vectors are (2,) or
-    (rows, 2), in NumPy or JAX as the observer uses. tests/contract checks all observers: the
-    compiled ones, the immersed one, their twin in JAX, and the baselines of the comparison.
+    returns the same numbers for a whole record. No argument is mutated. Vectors have shape (2,) or
+    (rows, 2); they are arrays of NumPy or JAX, depending on the observer. tests/contract checks all
+    observers: the compiled observers, the immersed observer, their twin in JAX, and the baselines
+    of the comparison.
     """
 
     @property
@@ -113,7 +114,7 @@ class Observer(Protocol[State, EstimateType]):
         ...
 
     def step(self, state: State, voltage: Any, current: Any) -> tuple[State, EstimateType]:
-        """Process one sample [V], [A]."""
+        """Process one sample: mean voltage [V] and current [A]."""
         ...
 
     def run(self, voltage: Any, current: Any) -> Any:

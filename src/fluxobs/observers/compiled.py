@@ -1,4 +1,4 @@
-"""Base class of the compiled observers: state as bytes, steps, whole records, batches."""
+"""Base class of the compiled observers: it processes samples, whole records and batches."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def read_columns(
 
 
 def make_core(core: Any, *arguments: Any) -> Any:
-    """Make a compiled core; raise ObserverError if it refuses its configuration."""
+    """Make a compiled core; raise ObserverError if the core refuses the configuration."""
     try:
         return core(*arguments)
     except ValueError as error:
@@ -63,7 +63,7 @@ class CompiledObserver(Generic[EstimateType]):
 
     _core: Any
 
-    if TYPE_CHECKING:  # a field in one subclass, a property in the other
+    if TYPE_CHECKING:  # one subclass has a field, the other a property
 
         @property
         def sample_time(self) -> float:
@@ -85,30 +85,32 @@ class CompiledObserver(Generic[EstimateType]):
     ) -> CompiledState:
         """Return a state that starts at a known angle: from Hall sensors, an alignment, an encoder.
 
-        The seeded angle is propagated, with a growing standard deviation, until that of the least
-        squares is smaller, which happens earlier than without a seed. The conditions of `valid` do
-        not change. The filter of an adaptive observer runs at once if the angle is known to ten
-        degrees.
+        The seeded angle is propagated with a growing standard deviation. When the standard
+        deviation of the least squares becomes smaller, their angle is used. This happens earlier
+        than without a seed. The conditions of `valid` do not change. The filter of an adaptive
+        observer runs at once if the angle is known to ten degrees.
 
         Parameters
         ----------
         theta_e, theta_e_std : float
-            Angle at the present sample, in (-π, π], and its standard deviation [rad]; 0.3 for a
-            sector of Hall sensors.
+            Angle at the present sample, in (-π, π], and its standard deviation [rad], which is 0.3
+            for a sector of Hall sensors.
         current : (2,) array_like
             Current of that sample [A].
         speed_e : float
             Electrical speed [rad/s].
         psi_f, psi_f_std : float
-            Length of the position vector, negative if it points backwards, and its standard
-            deviation [Wb]; 0: the flux base, and a quarter of it.
+            Length of the position vector and its standard deviation [Wb]. The length is negative if
+            the vector points backwards. A length of 0 means the flux base; a standard deviation of
+            0 means a quarter of the length.
         state : CompiledState, optional
             For the adaptive observer: a state whose learnt parameters are kept.
 
         Raises
         ------
         UsageError
-            A number is missing, not finite, or of the wrong sign, or `state` is that of a batch.
+            A number is missing, is not finite or has the wrong sign, or `state` is the state of a
+            batch.
         """
         numbers = {
             # A value from an estimate has shape ().
@@ -146,7 +148,7 @@ class CompiledObserver(Generic[EstimateType]):
         raise NotImplementedError
 
     def init(self, batch: tuple[int, ...] = ()) -> CompiledState:
-        """Return the initial state without information, for one record or a batch of that shape."""
+        """Return the initial state without information, for a record or a batch of this shape."""
         lanes = int(np.prod(batch, dtype=int))
         return CompiledState(self._core.reset(lanes), tuple(batch))
 
@@ -163,7 +165,7 @@ class CompiledObserver(Generic[EstimateType]):
         Parameters
         ----------
         state : CompiledState
-            It is not changed.
+            The state before the sample; it does not change.
         voltage : (*batch, 2) array_like
             Mean voltage over the interval ending now [V]; NaN where missing.
         current : (*batch, 2) array_like
@@ -199,20 +201,19 @@ class CompiledObserver(Generic[EstimateType]):
         volt_seconds: ArrayLike | None = None,
         threads: int | None = None,
     ) -> EstimateType:
-        """Process a whole record, or a batch of arrays, from the initial state; releases the GIL.
+        """Process a whole record, or a batch of arrays, from the initial state; release the GIL.
 
-        The numbers equal those of a loop of steps bit for bit. :meth:`resume` continues from a
-        state.
+        The results are bit for bit those of a loop of steps. :meth:`resume` continues from a state.
 
         Parameters
         ----------
         voltage : Record or (*batch, rows, 2) array_like
-            A record, whose lag assigns voltages to intervals; or, with `current`, an array whose
+            A record, whose lag assigns voltages to intervals. Or an array, given with `current`:
             row k is the mean over the interval that ends at row k [V].
         current : (*batch, rows, 2) array_like
             Current at each row [A].
         volt_seconds : (*batch, rows, 2) array_like, instead of voltage
-            As for :meth:`step` [Wb].
+            Exact volt-seconds, as for :meth:`step` [Wb].
         threads : int, optional
             Threads for a batch; default: one per processor.
 
@@ -237,7 +238,7 @@ class CompiledObserver(Generic[EstimateType]):
         volt_seconds: ArrayLike | None = None,
         threads: int | None = None,
     ) -> tuple[CompiledState, EstimateType]:
-        """Process arrays from `state`, as :meth:`run` does; return the last state and estimates."""
+        """Process arrays from `state`, like :meth:`run`; return (last state, estimates)."""
         _check_state(state)
         source = np.ascontiguousarray(_source(voltage, volt_seconds), dtype=float)
         i = np.ascontiguousarray(current, dtype=float)
@@ -250,7 +251,7 @@ class CompiledObserver(Generic[EstimateType]):
         return self._advance(state, source, i, volt_seconds is not None, threads or _processors())
 
     def counts(self, state: CompiledState, lane: int = 0) -> SampleCounts:
-        """Return the numbers of bad samples and restarts in `state` (in one lane of it)."""
+        """Return the numbers of bad samples and restarts in one lane of `state`."""
         return SampleCounts(*self._core.counters(state.raw, lane))
 
     def _advance(

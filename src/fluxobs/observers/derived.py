@@ -21,7 +21,7 @@ ROTATING = (
 )
 #: Further outputs of an induction machine.
 INDUCTION = (
-    _column("speed_mech_std", "rad/s", "Standard deviation of speed_mech caused by that of R_R"),
+    _column("speed_mech_std", "rad/s", "Standard deviation of speed_mech due to that of R_R"),
     _column("slip_e", "rad/s", "Electrical speed of the rotor flux relative to the rotor"),
 )
 
@@ -39,15 +39,15 @@ def derived(machine: Machine, estimate: Estimate, current: Array) -> dict[str, A
     Parameters
     ----------
     machine : Machine
-        If it does not turn, the result is empty.
+        The result is empty for a machine that does not turn.
     estimate : Estimate
     current : (rows, 2) ndarray
-        As measured [A].
+        Measured current [A].
 
     Returns
     -------
     dict of str to (rows,) ndarray
-        By the names of :func:`derived_outputs`, in SI.
+        Columns in SI, with the names of :func:`derived_outputs` as keys.
     """
     if not isinstance(machine, RotatingMachine):
         return {}

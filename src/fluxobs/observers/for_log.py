@@ -1,4 +1,4 @@
-"""Choose the observer for a log: the sizes of its signals, and all settings."""
+"""Choose the observer and its settings for a log, from the sizes of its signals."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from .immersed import describe_invisible
 from .plain import MODEL_ERROR
 from .unknowns import adapts, check_adapted
 
-#: Ordinary voltage offset, as a share of the voltage: usual converters have offsets of 0.2 to 2 %
-#: of their range, of which drives use a fraction (benchmarks/measured.py).
+#: Ordinary voltage offset, as a share of the voltage. Usual converters have offsets of 0.2 to 2 %
+#: of their range, and drives use a fraction of that range (benchmarks/measured.py).
 VOLTAGE_OFFSET = 0.01
-#: Ordinary current bias, as a share of the rated current, for the same reason.
+#: Ordinary current bias, as a share of the rated current; for the reason, see VOLTAGE_OFFSET.
 CURRENT_OFFSET = 0.02
 #: Least current noise, as a share of the rated current: half a step of a 12-bit converter.
 LEAST_NOISE = 1e-4
-#: Magnet fluxes to try if psi_f is missing, over L times the rated current. They are two octaves
-#: apart, since estimates do not depend on a scale that is right within a factor of two.
+#: Magnet fluxes to try if psi_f is missing, as multiples of L times the rated current. They are two
+#: octaves apart: an error of the scale within a factor of two does not affect estimates.
 GUESSES = (0.5, 2.0, 8.0, 32.0)
-#: Rows per batch of the immersed observer: half a second of work, so that progress shows.
+#: Rows per batch of the immersed observer: a batch takes half a second, so that progress shows.
 IMMERSED_BATCH = 2000
 
 AnyObserver = LeastSquaresObserver | AdaptiveObserver | ImmersionObserver
@@ -43,7 +43,7 @@ class Prepared:
     Attributes
     ----------
     log : Log
-        The inverter's error is subtracted if the observer does not model it.
+        Log without the inverter's error, if the observer does not model that error.
     machine : Machine
     observer : AnyObserver
     scales : Scales
@@ -59,7 +59,8 @@ class Prepared:
 
     @property
     def plain_outputs(self) -> bool:
-        """Whether a compiled observer runs, whose estimates include an angle and its deviation."""
+        """Whether the observer is a compiled one: its estimates include an angle and a
+        deviation."""
         return not isinstance(self.observer, ImmersionObserver)
 
 
@@ -78,12 +79,12 @@ def prepare(
     log, machine, unknowns, memory, priors
         See :func:`fluxobs.estimate`.
     scales : Scales, optional
-        Sizes of the log's signals; default: measured.
+        Sizes of the log's signals; by default they are measured.
 
     Raises
     ------
     FluxobsError
-        The unknowns are not identifiable together on this machine, or a setting cannot work.
+        The unknowns are not identifiable together on this machine, or a setting is impossible.
     """
     check_adapted(machine, unknowns, priors)
     if isinstance(machine, RotatingMachine) and adapts(unknowns):
@@ -110,7 +111,8 @@ def plain_for(
 
 
 def usual_speed(machine: RotatingMachine, scales: Scales, psi_f: float | None) -> float:
-    """Return the electrical speed of a log [rad/s]: its currents', limited by its voltages."""
+    """Return the electrical speed of a log [rad/s]: that of the currents, limited by the
+    voltages."""
     base = machine.flux_base(scales.current, psi_f)
     return min(scales.current_speed, scales.voltage / base) if base else scales.current_speed
 
@@ -122,7 +124,7 @@ def plain_observer(
     memory: float | None,
     psi_f: float | None = None,
 ) -> LeastSquaresObserver:
-    """Return the plain observer for a log; `scales` supplies values that the machine lacks."""
+    """Return the plain observer for a log; `scales` replace values missing in the machine."""
     rated = machine.rated_current or scales.current
     speed_e = usual_speed(machine, scales, psi_f)
     if memory is None:
@@ -148,7 +150,7 @@ def _rounded(measured: float) -> float:
 
 
 def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: float | None) -> float:
-    """Estimate the magnet flux [Wb] with the plain observer, for a machine file without psi_f."""
+    """Estimate the magnet flux [Wb] by the plain observer if the machine file has no psi_f."""
     longest = max(excerpts(log), key=lambda excerpt: len(excerpt.t))
     base = machine.position_inductance * (machine.rated_current or scales.current)
     best_psi_f, best_count = base, 0
@@ -161,11 +163,11 @@ def guess_psi_f(log: Log, machine: RotatingMachine, scales: Scales, memory: floa
 
 
 def _check_memory(log: Log, machine: Machine, memory: float | None) -> float:
-    """Return the memory (default: the machine's); raise if it spans fewer than ten rows."""
+    """Return the memory, by default the machine's; raise if it holds fewer than ten rows."""
     shortest = 10 * log.sample_time
     if memory is not None and not memory >= shortest:
         raise ObserverError(
-            f"memory {memory:g} s is too short: at least ten samples, {shortest:g} s"
+            f"memory {memory:g} s is too short: give at least ten samples, {shortest:g} s"
         )
     chosen = machine.memory if memory is None else memory
     if chosen < shortest:
@@ -192,8 +194,8 @@ def _adaptive_observer(
     ):
         if priors.get(name, 0.0) > largest > 0:
             raise ObserverError(
-                f"prior {name}={priors[name]:g}: must be a standard deviation in SI units; this is "
-                f"more than {limit}, {largest:.3g}"
+                f"prior {name}={priors[name]:g} is more than {limit}, {largest:.3g}: give a "
+                f"standard deviation in SI units"
             )
     return AdaptiveObserver.around(
         plain,
@@ -246,7 +248,8 @@ def _immersed_for(
 
 
 def _check_identifiable(machine: Machine, unknowns: Sequence[Unknown]) -> None:
-    """Raise FluxobsError if the unknowns are not identifiable together; name the hidden offsets."""
+    """Raise FluxobsError, with the hidden offsets, if the unknowns are not identifiable
+    together."""
     immersion = Immersion((machine.constraint,), tuple(unknowns), machine.R)
     invisible = immersion.invisible()
     if invisible.shape[1] == 0:
@@ -254,8 +257,8 @@ def _check_identifiable(machine: Machine, unknowns: Sequence[Unknown]) -> None:
     advice = "Run with --unknowns drift"
     if isinstance(machine, RotatingMachine):
         advice += (
-            ": the flux then has an error of L times the current bias, but λ - L i, hence position "
-            "and speed, has none"
+            ": the flux then has an error of L times the current bias, but λ - L i, position "
+            "and speed have no error"
         )
     raise FluxobsError(
         f"{' and '.join(unknowns)} cannot both be estimated for kind {machine.kind}: "

@@ -1,7 +1,7 @@
 """Least squares on the immersion in Python: any number of ports and relations, and current bias.
 
 firmware/fluxobs.c has the same recursion for one relation, two ports and unknown drift. This module
-is written for readers, and has simpler conditions for `valid`.
+is written to be read, and its conditions for `valid` are simpler.
 """
 
 from __future__ import annotations
@@ -27,28 +27,29 @@ from .requirements import (
 )
 from .thresholds import CORRELATION_LIMIT, MISSING, NOISE_SHARE_LIMIT
 
-#: A flux is known if its standard deviation is below this share of the flux, per-unit: 3° of the
-#: angle of a rotor's flux, as in the compiled observer (STD_LIMIT).
+#: A flux is known if its standard deviation is below this share of the flux, per-unit. The share is
+#: 3° of the angle of a rotor's flux, as in the compiled observer (STD_LIMIT).
 KNOWN = 0.05
 #: A sample whose innovation exceeds this many standard deviations contradicts all earlier samples.
-#: Noise does not reach ten; the jump of an offset does within a few samples (tests/observers).
+#: Noise does not reach ten; a jump of an offset reaches ten within a few samples (tests/observers).
 CONTRADICTION = 10.0
-#: After this many contradictions in a row, a constant must have jumped: restart. Fewer may be a
-#: burst of spikes, which the compiled observer also bridges.
+#: After this many contradictions in a row, a constant must have jumped, and the observer restarts.
+#: Fewer contradictions may be a burst of spikes, which the compiled observer also bridges.
 CONTRADICTIONS = MISSING
-#: A restart multiplies the innovations' power by this, so that noise above the assumed one cannot
-#: cause restarts for ever: four restarts compensate an assumed noise 16 times too small.
+#: A restart multiplies the innovations' power by this factor. Noise above the assumed noise then
+#: cannot cause restarts for ever: four restarts compensate an assumed noise 16 times too small.
 RESTART_POWER = 4.0
-#: A current bias beyond this many standard deviations of its prior is an artefact of noise. It
-#: corrupts the flux, which is then not valid.
+#: A current bias beyond this many standard deviations of its prior is an artefact of noise. Such a
+#: bias corrupts the flux, which is then not valid.
 BIAS_LIMIT = 3.0
-#: A current bias is identified if its standard deviation falls below this share of its prior's. The
-#: share is 1 without data, and 0.7 for each of two ports if one direction is hidden.
+#: A current bias is identified if its standard deviation falls below this share of its prior
+#: standard deviation. The share is 1 without data, and 0.7 for each of two ports if one direction
+#: is hidden.
 UNSEEN_BIAS = 0.25
-#: Samples between two prior re-injections, one row in turn, as in the compiled observer.
+#: Samples between two prior re-injections, each of one row, as in the compiled observer.
 REINJECTION_INTERVAL = 2
-#: Weights of the last four currents, newest first: the mean of the cubic through them over the last
-#: interval.
+#: Weights of the last four currents, newest first. The weights give the mean of the cubic through
+#: these currents over the last interval.
 QUADRATURE = np.array([9.0, 19.0, -5.0, 1.0]) / 24
 
 
@@ -73,52 +74,52 @@ class ImmersionEstimate:
         metadata=output("A", "Standard deviation of current_bias", vector=True)
     )
     noise_share: Array = field(
-        metadata=output("", "Share of each flux component's information that is noise", vector=True)
+        metadata=output("", "Share of noise in the information on each flux component", vector=True)
     )
     valid: NDArray[np.bool_] = field(
         metadata=output(
             "",
             "The flux is known: noise share below 0.1 and standard deviation below a twentieth of "
-            "the flux, per-unit, both for one memory without a missing sample. It does not include "
-            "the current bias",
+            "the flux, per-unit, both for one memory without a missing sample. The current bias "
+            "may still be unknown",
             boolean=True,
         )
     )
     current_bias_valid: NDArray[np.bool_] = field(
         metadata=output(
             "",
-            "The current bias is known too: valid, and its standard deviations below a quarter of "
-            "their priors",
+            "The current bias is known too: `valid` is true, and the standard deviations of the "
+            "bias are below a quarter of their priors",
             boolean=True,
         )
     )
     innovation: Array = field(
         metadata=output(
             "",
-            "Residual of each relation before the update, over its assumed noise",
+            "Residual of each relation before the update, divided by its assumed noise",
             in_files=False,
         )
     )
 
 
 class ImmersionState(NamedTuple):
-    """State: information ``R x = z``, the information from noise, and the last samples."""
+    """State of the observer: information ``R x = z``, information from noise, last samples."""
 
     R: Array
     z: Array
-    noise: Array  # information that noise alone would have produced
-    currents: Array  # the last four, newest first
+    noise: Array  # Information that would result from noise alone.
+    currents: Array  # The last four currents, newest first.
     voltage: Array
-    power: float = 1.0  # of the innovations
-    correlation: float = 0.0  # of successive innovations
+    power: float = 1.0  # Mean square of the innovations.
+    correlation: float = 0.0  # Correlation of successive innovations.
     last_innovation: Array | None = None
-    last_normal: Array | None = None  # innovation over its expected size
+    last_normal: Array | None = None  # Last innovation divided by its expected size.
     samples: int = 0
     bad_voltages: int = 0
     bad_currents: int = 0
-    missing: int = 0  # in a row
-    contradictions: int = 0  # in a row
-    known: int = 0  # samples in a row with known flux
+    missing: int = 0  # In a row.
+    contradictions: int = 0  # In a row.
+    known: int = 0  # Samples in a row with known flux.
     outliers: int = 0
     restarts: int = 0
 
@@ -135,9 +136,9 @@ class ImmersionObserver:
         Resistance in ``λ̇ = -R i + B u`` [Ω].
     B : (n, m) array_like
     sample_time : float
-        [s], > 0.
+        Sample time [s], > 0.
     memory : float
-        [s], at least ten samples.
+        Exponential memory [s], at least ten samples.
     flux_base : (n,) array_like
         Magnitude of the flux [Wb]; a factor of a few does not matter.
     constraint_noise : (r,) array_like
@@ -145,12 +146,12 @@ class ImmersionObserver:
     drift_prior : (n,) array_like
         Largest plausible drift [V].
     current_bias_prior : (n,) array_like
-        Largest plausible current bias [A]; used if the bias is an unknown.
+        Largest plausible current bias [A]; it is used if the bias is an unknown.
     current_noise : float, optional
-        Std of a current component [A]; default: the value that causes `constraint_noise`.
-        `noise_share`, and hence `valid`, depends on it.
+        Noise std of a current component [A]; by default the value that causes `constraint_noise`.
+        `noise_share`, and hence `valid`, depends on this std.
     voltage_noise : float
-        Std of the mean voltage over a sample [V]; default 0, for commanded voltages.
+        Noise std of the mean voltage over a sample [V]; 0, the default, is for commanded voltages.
 
     Raises
     ------
@@ -221,9 +222,9 @@ class ImmersionObserver:
         assert noise is not None  # __post_init__ has chosen it
         h, gain = self.sample_time, self.immersion.transition_gain()
         noise_gain = h * np.hstack([self.voltage_noise * self.B, noise * self.R])
-        # ∂F⁻¹ along each direction of v's noise.
+        # Derivative of F⁻¹ along each direction of the noise of v.
         object.__setattr__(self, "_volt_seconds_noise", np.tensordot(noise_gain.T, gain, axes=1))
-        # Information that current noise adds with the rows of each sample.
+        # Information that the current noise in the rows of each sample adds.
         by_current = noise * self.immersion.row_gain() / self.constraint_noise[:, None, None]
         flattened = by_current.transpose(1, 0, 2).reshape(self.immersion.size, -1)
         object.__setattr__(self, "_row_noise", flattened @ flattened.T)
@@ -245,7 +246,7 @@ class ImmersionObserver:
                 abs(relation.d),
             )
             slope = np.maximum(2 * Q1 * flux, Q2 * bias).max(axis=1)
-            # Pin a state that is zero by definition (for example with Q1 = 0).
+            # Fix a state that is zero by definition (for example with Q1 = 0).
             rate = float(np.max(drift / flux))
             smallest = 1e-9 * rate * max(size, self.constraint_noise[k])
             prior_std[slices["s"]][k] = max(size, self.constraint_noise[k])
@@ -279,11 +280,11 @@ class ImmersionObserver:
         *,
         volt_seconds: ArrayLike | None = None,
     ) -> tuple[ImmersionState, ImmersionEstimate]:
-        """Process one sample; as :meth:`LeastSquaresObserver.step`, with ``(m,)`` and ``(n,)``.
+        """Process one sample, like :meth:`LeastSquaresObserver.step`; shapes ``(m,)``, ``(n,)``.
 
         The last value replaces a missing (NaN) current or voltage, and a current that contradicts
-        all earlier samples; no row is then valid for one memory. Four in a row erase the
-        information.
+        all earlier samples. No row is then valid for one memory. Four such samples in a row
+        erase the information.
         """
         if current is None or (voltage is None) == (volt_seconds is None):
             raise UsageError("give current, and either voltage or volt_seconds")
@@ -314,7 +315,7 @@ class ImmersionObserver:
         new_state = self._propagate(state, i if has_current else held_current, u, v)
         if has_current:
             measured = self._update_measurement(new_state, i)
-            if measured is None:  # it contradicts all earlier samples: treat it as missing
+            if measured is None:  # the current contradicts all earlier samples: treat it as missing
                 new_state = self._propagate(state, held_current, u, v)
                 new_state = new_state._replace(
                     contradictions=state.contradictions + 1,
@@ -385,13 +386,13 @@ class ImmersionObserver:
             if state.contradictions + 1 < CONTRADICTIONS:
                 return None
             state = self._erase(state)._replace(
-                # The held currents were not measured.
+                # Currents that replaced missing currents were not measured.
                 currents=np.tile(current, (4, 1)),
                 restarts=state.restarts + 1,
                 power=RESTART_POWER * max(state.power, 1.0),
             )
         else:
-            # Prior and restarts explain large innovations: scale them by the expected size.
+            # Prior and restarts explain large innovations: divide innovations by the expected size.
             normal = innovation / np.sqrt(expected_power)
             last_normal = state.last_normal
             product = 0.0 if last_normal is None else float(np.mean(normal * last_normal))
@@ -402,8 +403,8 @@ class ImmersionObserver:
             )
         state = state._replace(last_innovation=innovation)
         R, z = _absorb(state.R, state.z, rows, values)
-        # Against wind-up: re-inject, row by row, the prior's information that forgetting has taken.
-        # The row is centred on the estimate, which therefore does not move.
+        # To prevent wind-up, re-inject row by row the prior's information that forgetting has
+        # removed. Each row is centred on the estimate, so that the estimate does not move.
         if state.samples % REINJECTION_INTERVAL == 0:
             j = state.samples // REINJECTION_INTERVAL % immersion.size
             weight = np.sqrt(1 - rho ** (REINJECTION_INTERVAL * immersion.size)) / self._prior[j]
@@ -423,14 +424,14 @@ class ImmersionObserver:
         inverse = np.linalg.inv(state.R)
         x = inverse @ state.z
         covariance = inverse @ inverse.T
-        # Innovations of real records are correlated: power and correlation scale the variance.
+        # Innovations of real records are correlated: scale the variance by power and correlation.
         r1 = float(np.clip(state.correlation / max(state.power, 1e-300), 0.0, CORRELATION_LIMIT))
         level = state.power * (1 + r1) / (1 - r1)
         # Small innovations must not reduce the share of the variance that comes from the prior.
         prior_variance = np.square(covariance / self._prior).sum(axis=1)
         variance = level * np.diag(covariance) + max(1 - level, 0.0) * prior_variance
         std = np.sqrt(variance)
-        # Share of each state's marginal information that comes from noise.
+        # Share of noise in the marginal information on each state.
         noise_information = (covariance * (state.noise @ covariance)).sum(axis=0)
         shares = noise_information / np.diag(covariance)
         flux_share = shares[slices["flux"]]
@@ -444,13 +445,13 @@ class ImmersionObserver:
             drift, drift_std = x[slices["drift"]], std[slices["drift"]]
         else:
             drift, drift_std = self.R @ bias, np.sqrt(np.square(self.R) @ np.square(bias_std))
-        # Judge each port by its own flux base: ports may differ in size.
+        # Compare each port with its own flux base: ports may differ in size.
         length = np.linalg.norm(flux / self.flux_base) / np.sqrt(n)
         known = bool(
             (flux_share < NOISE_SHARE_LIMIT).all()
             and (flux_std < KNOWN * length * self.flux_base).all()
             and state.contradictions == 0
-            # A current bias that is an artefact of noise corrupts the flux.
+            # A current bias that results from noise makes the flux wrong.
             and (shares[slices["current_bias"]] < NOISE_SHARE_LIMIT).all()
             and (
                 np.abs(x[slices["current_bias"]]) < BIAS_LIMIT * self._prior[slices["current_bias"]]
@@ -483,9 +484,9 @@ class ImmersionObserver:
         *,
         volt_seconds: ArrayLike | None = None,
     ) -> ImmersionEstimate:
-        """Process a whole record from the initial state; same numbers as a loop of steps.
+        """Process a whole record from the initial state; the numbers are those of a loop of steps.
 
-        Give a :class:`Record`, or ``(rows, m)`` and ``(rows, n)`` arrays; the voltage (or
+        Give a :class:`Record`, or arrays of shape ``(rows, m)`` and ``(rows, n)``. The voltage (or
         volt-seconds) of row k belongs to the interval that ends at row k.
         """
         if isinstance(voltage, Record):

@@ -14,7 +14,7 @@ from ..machines import MagLev2DOF
 
 
 class TrackerState(NamedTuple):
-    """Position [m], velocity [m/s], and the last force [N] (None before the first sample)."""
+    """Position [m], velocity [m/s] and last force [N] (None before the first sample)."""
 
     position: float = 0.0
     velocity: float = 0.0
@@ -25,14 +25,14 @@ class TrackerState(NamedTuple):
 class LevitationTracker:
     """Luenberger observer for position and velocity, driven by the estimated force.
 
-    The position follows from flux and current by ``q = g - k_1 i_1/φ_1 = k_2 i_2/φ_2 - g``, both
-    combined by least squares. The model is ``q̈ = (D²/J)(F_1 - F_2)``, F = c φ²/(2k).
+    The position follows from flux and current by ``q = g - k_1 i_1/φ_1 = k_2 i_2/φ_2 - g``; least
+    squares combine the two equations. The model is ``q̈ = (D²/J)(F_1 - F_2)``, F = c φ²/(2k).
 
     Parameters
     ----------
     machine : MagLev2DOF
     sample_time : float
-        [s], > 0.
+        Sample time [s], > 0.
     bandwidth : float
         Magnitude of both poles [rad/s], > 0.
     """
@@ -48,14 +48,14 @@ class LevitationTracker:
                 raise ObserverError(f"{name} must be positive and finite, got {value}")
 
     def run(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
-        """Return position [m] and velocity [m/s], (rows,) each.
+        """Return (position [m], velocity [m/s]), each of shape (rows,).
 
-        Rows without a position are predicted.
+        In rows where flux and current give no position, the position is predicted.
 
         Parameters
         ----------
         flux, current : (rows, 2) array_like
-            Estimated core fluxes [Wb], unbiased currents [A].
+            Estimated core fluxes [Wb] and unbiased currents [A].
         """
         phi, i = np.asarray(flux, float), np.asarray(current, float)
         measured, _ = self.machine.position(phi, i)
@@ -71,7 +71,7 @@ class LevitationTracker:
         """Process one sample: estimated core fluxes (2,) [Wb] and unbiased currents (2,) [A]."""
         m, h = self.machine, self.sample_time
         force = m.c_1 * flux[0] ** 2 / (2 * m.k_1) - m.c_2 * flux[1] ** 2 / (2 * m.k_2)
-        force = force if np.isfinite(force) else 0.0  # where the flux is missing
+        force = force if np.isfinite(force) else 0.0  # no force if the flux is missing
         q, velocity = state.position, state.velocity
         if state.force is not None:
             acceleration = m.D**2 / m.J * (state.force + force) / 2

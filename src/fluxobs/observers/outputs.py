@@ -1,8 +1,8 @@
-"""The list of observer outputs: name, unit, shape, file column, and which observer.
+"""The list of observer outputs, each with name, unit, shape, file columns and observers.
 
-An estimate is a dataclass whose fields carry :func:`output`. Its attributes, its docstring, the
-columns of a file, the summary's series, the test vectors of firmware and the table in the docs all
-come from these fields. The compiled core uses the same names.
+An estimate is a dataclass, and :func:`output` describes each of its fields. The fields determine
+the estimate's attributes and docstring, the columns of a file, the summary's series, the test
+vectors of firmware and the table in the docs. The compiled core uses the same names.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Output:
     about : str
         Description.
     vector : bool
-        Two components (..., 2), one per port; else (...).
+        Whether the output has two components, one per port: shape (..., 2), else (...).
     boolean : bool
     in_files : bool
         Whether an estimation writes it to files.
@@ -41,7 +41,7 @@ class Output:
     in_files: bool
 
     def columns(self, ports: Sequence[str]) -> tuple[str, ...]:
-        """Return the columns: ``flux`` has ``flux_alpha``, ``flux_std`` has ``flux_alpha_std``."""
+        """Return the column names: ``flux_std`` has ``flux_alpha_std`` and ``flux_beta_std``."""
         if not self.vector:
             return (self.name,)
         stem, std = (self.name[:-4], "_std") if self.name.endswith("_std") else (self.name, "")
@@ -56,7 +56,7 @@ def output(
     boolean: bool = False,
     in_files: bool = True,
 ) -> dict[str, Any]:
-    """Return the ``metadata`` of an estimate's field; arguments as for :class:`Output`."""
+    """Return the ``metadata`` of an estimate's field; :class:`Output` explains the arguments."""
     return {"output": (unit, about, vector, boolean, in_files)}
 
 
@@ -72,7 +72,7 @@ def in_files(estimate: type) -> tuple[Output, ...]:
 
 
 def documented(estimate: Class) -> Class:
-    """Append the list of outputs to a class's docstring; a class decorator."""
+    """Class decorator: append the list of outputs to the docstring."""
     lines = []
     for output in outputs(estimate):
         kind = "ndarray of bool" if output.boolean else "ndarray"

@@ -28,14 +28,14 @@ from .requirements import (
 )
 
 #: Usual memory [s]. One value suited all records tried, 75 to 5000 rad/s electrical. Within a much
-#: shorter memory, slow machines turn too little; within a much longer one, the quantities assumed
-#: constant (drift, inverter error, magnet flux) change.
+#: shorter memory, slow machines turn too little. Within a much longer memory, drift, inverter error
+#: and magnet flux, which are assumed constant, change.
 MEMORY: float = _core.usual["MEMORY"]
 #: Bandwidth of the tracker times the memory: the tracker follows load steps within a memory.
 TRACKER: float = _core.usual["TRACKER"]
 #: Real machines violate their relation by this share of the flux squared (saturation, slots,
-#: inverter). As part of the assumed noise, it balances prior against data; the innovations set the
-#: level of the reported standard deviations.
+#: inverter). This share is part of the assumed noise, which balances prior against data. The
+#: innovations determine the level of the reported standard deviations.
 MODEL_ERROR: float = _core.usual["MODEL_ERROR"]
 #: Settings that are positive numbers, named as in fo_config (firmware/fluxobs.h).
 POSITIVE = (
@@ -53,20 +53,20 @@ POSITIVE = (
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresObserver(CompiledObserver[Estimate]):
-    """Flux, position, speed and drift by exponentially forgetting least squares.
+    """Observer for flux, position, speed and drift by exponentially forgetting least squares.
 
     :meth:`for_machine` chooses these fields from a machine.
 
     Parameters
     ----------
     constraint : QuadraticConstraint
-        Relation with two ports.
+        Quadratic relation with two ports.
     R, B : (2, 2) array_like
         Matrices of ``λ̇ = -R i + B u`` [Ω], [-].
     position_inductance : float
         L of the position vector λ - L i [H].
     sample_time : float
-        [s], > 0.
+        Sample time [s], > 0.
     memory : float
         Exponential memory [s], ten to a million samples.
     flux_base : float
@@ -78,26 +78,27 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
     current_limit : float
         A longer current vector is implausible [A].
     drift_prior : float
-        Largest plausible drift [V]. A tighter prior speeds up the start; a prior that proves too
-        tight is widened.
+        Largest plausible drift [V]. A smaller prior makes the start faster; a prior that proves too
+        small is widened.
     length_min : float
         Shortest position vector that gives a position [Wb].
     tracker_bandwidth : float
         Bandwidth of the tracker [rad/s].
     held : float
-        R h/L if voltages are held over a sample: the share of a current's kink that decays within
-        it, so that the resistive drop includes the kinks. 0: the current is smooth.
+        R h/L if voltages are held over a sample, else 0. R h/L is the share of a current's kink
+        that decays within the sample; it adds the kinks to the resistive drop. With 0 the current
+        is assumed smooth.
     precision : {"double", "single"}
-        "single" gives the numbers of a microcontroller.
+        "single" computes the same numbers as a microcontroller.
     flux_map : FluxMap, optional
-        Flux over current, unless inductance and magnet flux are constant. Q1 of the constraint must
-        then be 1; its other terms only scale the noise.
+        Flux as a function of current, if inductance or magnet flux is not constant. Q1 of the
+        constraint must then be 1; the other terms of the constraint only scale the noise.
 
     Raises
     ------
     ObserverError
         A value is not positive or not finite, the memory is shorter than ten samples or longer than
-        a million, or sizes are inconsistent (a wrong unit).
+        a million samples, or sizes are inconsistent (a unit is wrong).
 
     References
     ----------
@@ -198,25 +199,27 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         ----------
         machine : RotatingMachine
         sample_time : float
-            [s].
+            Sample time [s].
         memory : float, optional
-            [s]; the only tuning parameter. Default 0.03 s, which suited all records tried, or less
-            where L/R is so short that noise in the resistive drop would dominate
-            (:meth:`RotatingMachine.memory_for`).
+            Exponential memory [s], the only tuning parameter. The default is 0.03 s, which suited
+            all records tried. The default is shorter if L/R is so short that noise in the resistive
+            drop would dominate (:meth:`RotatingMachine.memory_for`).
         speed_e : float, optional
-            Usual electrical speed [rad/s], for that default; otherwise the machine's rated_speed.
+            Usual electrical speed [rad/s] for the default memory; by default the machine's
+            rated_speed.
         psi_f, rated_current : float, optional
-            Override the machine's values [Wb], [A peak]. They are only scales: a factor of two does
-            not matter.
+            Values that replace those of the machine [Wb], [A peak]. They are only scales: a factor
+            of two does not matter.
         current_noise : float, optional
             Std of a current component [A]; default 0.2 % of the rated current.
         drift_prior : float, optional
-            Largest plausible drift [V]; default: the larger of 3 % of the rated resistive drop and
-            the drift that turns the flux by 0.1 rad within the memory.
+            Largest plausible drift [V]. The default is 3 % of the rated resistive drop or the drift
+            that turns the flux by 0.1 rad within the memory, whichever is larger.
         held : {"auto", True, False}
-            Whether each voltage is held over its sample, like an inverter's mean voltage. It
-            matters where R h/L is large: small time constant of the motor, few samples per period.
-            "auto": held if R h/L is above 0.15. False: each voltage is the mean of a smooth one.
+            Whether each voltage is held over its sample, like an inverter's mean voltage. The
+            choice matters where R h/L is large: the motor's time constant is small, or samples per
+            period are few. "auto": held if R h/L is above 0.15. False: each voltage is the mean of
+            a smooth voltage.
         precision : {"double", "single"}
 
         Raises
@@ -238,7 +241,8 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
                 f"psi_f is missing: give it in the machine ({machine.kind}) or to "
                 f"for_machine(…, psi_f=…) [Wb]; a rough value is enough"
             )
-        # The firmware's formulas (firmware/fluxobs_config.c) choose what is not given.
+        # The firmware's formulas (firmware/fluxobs_config.c) choose the settings that are not
+        # given.
         given = {"memory": memory, "current_noise": current_noise, "drift_prior": drift_prior}
         given_values = [
             value if value is not None and value > 0 else 0.0 for value in given.values()
@@ -257,7 +261,7 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         )
 
     def parameters(self) -> dict[str, Any]:
-        """Return all numbers that a step uses, per-unit, in the order of fo_observer.
+        """Return all numbers that a step uses, in per-unit and in the order of fo_observer.
 
         The struct fo_observer is in firmware/fluxobs.h.
         """

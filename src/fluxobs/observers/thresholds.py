@@ -1,13 +1,13 @@
 """Thresholds of the plain observer that Python code shares with it.
 
-The reasons are in firmware/fluxobs_internal.h.
+firmware/fluxobs_internal.h states the reasons for these values.
 """
 
 from __future__ import annotations
 
 from .. import _core
 
-#: Largest share of the flux information that may be noise while the flux counts as known.
+#: Largest share of noise in the flux information for which the flux counts as known.
 NOISE_SHARE_LIMIT: float = _core.thresholds["SHARE_LIMIT"]
 #: Upper limit of the correlation of successive innovations.
 CORRELATION_LIMIT: float = _core.thresholds["CORRELATION_LIMIT"]

@@ -1,4 +1,4 @@
-"""The names of constant or slow unknowns, and the observer that estimates them."""
+"""Names of constant or slow unknowns, and the choice of the observer that estimates them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..machines.model.immersion import UNKNOWNS as IMMERSED
 #: Errors of the machine's parameters and its inverter, which the adaptive observer estimates.
 ADAPTED = ("resistance", "inverter", "asymmetry")
 UNKNOWNS: tuple[str, ...] = (*IMMERSED, *ADAPTED)
-#: The word for unknowns chosen from the log, and the unknowns that can be chosen.
+#: The word that lets the log choose the unknowns, and the unknowns that may be chosen.
 AUTO = "auto"
 ALL = ("drift", *ADAPTED)
 #: Quantities whose prior standard deviation can be given.
@@ -20,7 +20,7 @@ PRIORS = ("resistance", "inverter", "asymmetry", "psi_f")
 
 
 def read_unknowns(unknowns: str | Sequence[str]) -> tuple[str, ...]:
-    """Return unknowns from ``"drift,resistance"`` or a sequence; ("auto",) from "auto".
+    """Return the unknowns named in ``"drift,resistance"`` or a sequence; for "auto", ("auto",).
 
     Raises
     ------
@@ -50,7 +50,7 @@ def adapts(unknowns: Sequence[str]) -> bool:
 
 
 def check_adapted(machine: Machine, unknowns: Sequence[str], priors: Mapping[str, float]) -> None:
-    """Raise FluxobsError if the adaptive observer cannot estimate these unknowns here."""
+    """Raise FluxobsError if the adaptive observer cannot estimate these unknowns of the machine."""
     adapted = [name for name in unknowns if name in ADAPTED]
     if adapted and not isinstance(machine, RotatingMachine):
         raise FluxobsError(
@@ -60,12 +60,12 @@ def check_adapted(machine: Machine, unknowns: Sequence[str], priors: Mapping[str
     if adapted and "current-bias" in unknowns:
         raise FluxobsError(
             f"{' and '.join(adapted)} cannot be estimated together with a current bias. Use "
-            f"the drift, which includes its effect: unknowns drift,{','.join(adapted)}"
+            f"the drift, which includes the bias's effect: unknowns drift,{','.join(adapted)}"
         )
     if adapted and "drift" not in unknowns:
         raise FluxobsError(
-            f"{' and '.join(adapted)} without the drift: every sensor has an offset, so the drift "
-            f"is always estimated too; give unknowns drift,{','.join(adapted)}"
+            f"{' and '.join(adapted)} cannot be estimated without the drift, because every sensor "
+            f"has an offset; give unknowns drift,{','.join(adapted)}"
         )
     for name, std in priors.items():
         if name not in PRIORS:

@@ -1,6 +1,7 @@
-/* What a multiplication with an addition takes on a processor without a floating-point unit: emulated
- * in single precision; in fixed point with a 64-bit product; in fixed point by its upper half from
- * 16-bit parts; and a division. Block floating point would put a shift of a row on top. */
+/* Costs of a division, and of a multiplication with an addition, on a processor without a
+ * floating-point unit. The variants are emulated single precision, fixed point with a 64-bit
+ * product, and fixed point with the upper half of the product, from 16-bit parts. Block floating
+ * point would need an additional shift of each row. */
 #include "target.h"
 
 enum { COUNT = 64 };
@@ -47,8 +48,8 @@ static __attribute__((noinline)) uint32_t whole_product(void)
     return before - after;
 }
 
-/* The upper half of a product of numbers below one, to within three of its last digits: the product
- * of the lower parts is left out. */
+/* Upper half of a product of numbers below one, to within three of its last digits: the product of
+ * the lower parts is omitted. */
 static inline int32_t upper(int32_t a, int32_t b)
 {
     const int32_t ah = a >> 16, bh = b >> 16;

@@ -1,5 +1,6 @@
-"""Whether fixed point would pay on a processor without a floating-point unit: instructions of a
-multiplication with an addition on an emulated Cortex-M0.
+"""Compare fixed and floating point on a processor without a floating-point unit.
+
+Prints the instructions of a multiplication with an addition on an emulated Cortex-M0.
 
     python tests/firmware/processor/arithmetic.py
 """
@@ -14,7 +15,7 @@ from replay import BUILDS, COMMON, HERE, INSTRUCTION, link, said_by
 
 from fluxobs.deployment.costs import read_costs
 
-#: Each turn of a loop of arithmetic.c has two multiplications and one addition.
+#: Each pass of a loop in arithmetic.c has two multiplications and one addition.
 OPERATIONS = {"emulated": "single precision, emulated", "divided": "a division, emulated"}
 OPERATIONS |= {"whole_product": "fixed point, 64-bit products"}
 OPERATIONS |= {"upper_half": "fixed point, upper halves from 16-bit parts"}
@@ -30,12 +31,12 @@ def main() -> int:
     counts = {
         name: (found[name] - found["reading"]) / per / found["parameters"] for name in OPERATIONS
     }
-    print(f"{build.name}: instructions of two multiplications and an addition, or a division")
+    print(f"{build.name}: instructions of two multiplications with an addition, or of a division")
     for name, about in OPERATIONS.items():
         print(f"  {about}: {counts[name]:.0f}")
     mean = next(one["mean"] for one in read_costs()["plain"]["builds"] if one["name"] == build.name)
     best = counts["upper_half"] / counts["emulated"] * mean
-    print(f"  a step of {mean} would take {best:.0f} at best, if nothing had to be scaled")
+    print(f"  a step of {mean} would take at least {best:.0f} in fixed point without scaling")
     return 0
 
 

@@ -1,5 +1,4 @@
-/* Instructions that a motor chosen in the field takes before its first step: its configuration and
- * fo_init. */
+/* Instructions for a motor chosen in the field before its first step: configuration and fo_init. */
 #include "fluxobs_config.h"
 #include "target.h"
 

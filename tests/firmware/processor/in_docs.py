@@ -1,4 +1,4 @@
-"""Tables that commands here write into docs/firmware.md, between two comments with their name."""
+"""Read and write the tables in docs/firmware.md, between two comments with their name."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ def _parts(name: str) -> tuple[str, str, str]:
     before, start, rest = text.partition(f"<!-- {name} -->\n")
     now, end, after = rest.partition(f"\n<!-- /{name} -->")
     if not (start and end):
-        raise SystemExit(f"{PAGE}: no place for {name}")
+        raise SystemExit(f"{PAGE}: the comments of the table {name} are missing")
     return before + start, now, end + after
 
 
 def read(name: str) -> str:
-    """The table as it stands in the page."""
+    """Return the table in the page."""
     return _parts(name)[1]
 
 
 def write(name: str, table: str) -> None:
-    """Put a table in the place of the one that stands there."""
+    """Replace the table in the page."""
     before, _, after = _parts(name)
     PAGE.write_text(before + table + after, encoding="utf-8")

@@ -1,9 +1,9 @@
-"""A bound on the instructions of a step, from a trace of an emulated processor.
+"""Upper bound of the instructions of a step, from a trace of an emulated processor.
 
-Every instruction of the observer is counted as often as it ran in that call in which it ran most;
-one that never ran, in a function of which others did, counts once. A call that takes the worst of
-all branches at once cannot be longer, as long as no loop runs longer than in the record. Loops of
-the sources have constant counts; those of emulated arithmetic (Cortex-M0) have not.
+The count of an instruction of the observer is its largest count in any call. An instruction that
+never ran counts once if other instructions of its function ran. Even a call with the worst of all
+branches cannot need more instructions, provided that no loop runs longer than in the record. Loops
+of the sources have constant counts; loops of emulated arithmetic (Cortex-M0) have varying counts.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-#: Functions of the harness that call the step: where one of them goes on, the call has ended.
+#: Functions of the harness that call the step: when one of them continues, the call has ended.
 CALLERS = ("timed_step", "main", "step", "check_replay")
 NO_INSTRUCTION = (".word", ".short", ".byte")
 
 
 def calls(program: Path, board: str, step: str) -> Iterator[Counter[int]]:
-    """Of every call of the function `step`: address → how often its instruction ran."""
+    """Yield, for every call of the function `step`: address → how often its instruction ran."""
     symbols = ["arm-none-eabi-nm", program]
     named = subprocess.run(symbols, check=True, capture_output=True, text=True).stdout
     entry = int(re.search(rf"^([0-9a-f]+) . {step}$", named, re.MULTILINE)[1], 16) & ~1
@@ -35,7 +35,7 @@ def calls(program: Path, board: str, step: str) -> Iterator[Counter[int]]:
 
 
 def _read(trace: Path, entry: int) -> Iterator[Counter[int]]:
-    blocks: dict[int, list[int]] = {}  # address → those of its instructions
+    blocks: dict[int, list[int]] = {}  # address → addresses of the instructions in the block
     functions: dict[int, str] = {}
     function, block = "", list[int]()
     call: Counter[int] | None = None
@@ -63,7 +63,7 @@ def _read(trace: Path, entry: int) -> Iterator[Counter[int]]:
 
 
 def _instructions(program: Path) -> dict[str, set[int]]:
-    """Function → addresses of its instructions."""
+    """Return function → addresses of its instructions."""
     command = ["arm-none-eabi-objdump", "-d", program]
     listing = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     found: dict[str, set[int]] = {}
@@ -78,7 +78,7 @@ def _instructions(program: Path) -> dict[str, set[int]]:
 
 
 def bound(program: Path, board: str, step: str) -> int:
-    """Instructions that a call of the function `step` has at most."""
+    """Return the upper bound of the instructions of a call of the function `step`."""
     most: Counter[int] = Counter()
     for ran in calls(program, board, step):
         most |= ran

@@ -1,4 +1,5 @@
-/* Replays the exported test vectors on an emulated processor: compares, counts, weighs. */
+/* Replays the exported test vectors on an emulated processor. The program compares outputs, counts
+ * instructions and measures the stack. */
 #include <stddef.h>
 
 #include "check.h"
@@ -63,7 +64,7 @@ int main(void)
     target_number("flux_error_e9", (int32_t)(r.flux_error < 2.0 ? r.flux_error * 1e9 : 2e9));
     target_number("angle_error_e9", (int32_t)(r.angle_error < 2.0 ? r.angle_error * 1e9 : 2e9));
 
-    /* Sums are kept by the host: ticks of every step are written out. */
+    /* The host computes sums: the ticks of every step are printed. */
     RESET(&motor_observer, &state);
     target_start_ticks();
     const uint32_t first = target_ticks(), second = target_ticks();
@@ -73,7 +74,8 @@ int main(void)
     }
     target_number("ticks_of_gathering", (int32_t)timed_gathering());
 
-    /* What lies below the stack's end is painted; what a step has used of it is not, afterwards. */
+    /* Paint the memory below the stack's end; a step overwrites the paint where it uses the
+     * stack. */
     volatile unsigned char *const sp = stack_pointer(), *below = sp - PAINTED;
     RESET(&motor_observer, &state);
     for (int i = 0; i < PAINTED; i++) {

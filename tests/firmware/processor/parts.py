@@ -1,11 +1,11 @@
-"""Where the instructions and the bytes of the plain observer go, part by part.
+"""Instructions and bytes of each part of the plain observer.
 
     python tests/firmware/processor/parts.py           # prints the table
     python tests/firmware/processor/parts.py --update  # writes docs/firmware.md
 
-Instructions are those of a sample on the mean, on an emulated Cortex-M4F, -O2; bytes those of the
-code, -Os. The compiler's debugging information tells from which function of the source an
-instruction comes, inlined or not. A part's constants are not counted.
+Instructions are the mean of a sample on an emulated Cortex-M4F, -O2. Bytes are those of the code,
+-Os. The compiler's debugging information states from which function of the source an instruction
+comes, inlined or not. The constants of a part are not counted.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PARTS = {
         ("rotate_row", "add_row", "reinject_prior", "prior_information"),
         "measurement update and, every other sample, re-injection of a prior row",
     ),
-    "transition": (("predict",), "carries the information over the interval"),
+    "transition": (("predict",), "propagates the information over the interval"),
     "solution": (("solve",), "flux and drift of every sample"),
     "certainty": (
         (
@@ -41,7 +41,7 @@ PARTS = {
             "widen_drift_prior",
             "discount_information",
         ),
-        "`theta_e_std`, share of noise, a prior that was too tight: without it nothing is valid",
+        "`theta_e_std`, share of noise, correction of a too tight prior; needed for `valid`",
     ),
     "measurement": (
         (
@@ -94,12 +94,13 @@ PARTS = {
             "position_vector",
             "armature_flux",
         ),
-        "which flux is reported, `valid`, outputs",
+        "choice of the reported flux, `valid`, outputs",
     ),
 }
-#: The lines of functions that a linker drops are said to begin at address 0, among the others.
+#: Without --no-gc-sections, debugging information places functions that the linker drops at address
+#: 0.
 DEBUG = ("-g", "-Wl,--no-gc-sections")
-#: What a step does not use.
+#: Functions that a step does not use.
 OTHERS = ("check", "prepare", "in_range", "fo_init_single", "set_tracker", "reinjected", "within")
 OTHERS += ("demand", "demand_size", "is_finite", "is_number", "check_prepared", "fo_wrong_single")
 OTHERS += (
@@ -113,7 +114,7 @@ OTHERS += ("fo_step_volt_seconds_single", "fo_step_for_single", "memset")
 
 
 def functions(program: Path, addresses: Iterable[int]) -> list[str]:
-    """The function of the source from which each instruction comes."""
+    """Return the function of the source from which each instruction comes."""
     command = ["arm-none-eabi-addr2line", "-f", "-e", str(program)]
     given = "\n".join(map(hex, addresses))
     done = subprocess.run(command, input=given, check=True, capture_output=True, text=True)
@@ -121,7 +122,7 @@ def functions(program: Path, addresses: Iterable[int]) -> list[str]:
 
 
 def instructions(folder: Path) -> Counter[str]:
-    """Instructions of a sample on the mean, by function."""
+    """Return the mean instructions of a sample, by function."""
     build = BUILDS[0]
     program, _ = compile_for(build, folder, "plain", DEBUG)
     ran: Counter[int] = Counter()
@@ -136,7 +137,7 @@ def instructions(folder: Path) -> Counter[str]:
 
 
 def sizes(folder: Path) -> Counter[str]:
-    """Bytes by function."""
+    """Return bytes by function."""
     build = next(one for one in BUILDS if one.name.endswith("-Os"))
     program, _ = compile_for(build, folder, "plain", DEBUG)
     listing = subprocess.run(
@@ -163,7 +164,7 @@ def main() -> int:
     known = {name for names, _ in PARTS.values() for name in names} | set(OTHERS)
     lost = {name for name, times in ran.items() if times > 0} - known
     if lost:
-        print(f"FAILED: these belong to no part: {', '.join(sorted(lost))}")
+        print(f"FAILED: these functions belong to no part: {', '.join(sorted(lost))}")
         return 1
     rows = [
         f"| {part} | {sum(ran[name] for name in names)} | {sum(size[name] for name in names)} "

@@ -1,14 +1,15 @@
 """Processor in the loop: the exported folder on emulated microcontrollers.
 
-Exports a machine, cross-compiles the folder for Cortex-M4F and Cortex-M0, replays its test vectors
-under QEMU, compares them with the library's numbers, and prints what a sample costs.
+Exports a machine, cross-compiles the folder for Cortex-M4F and Cortex-M0, and replays its test
+vectors under QEMU. Compares the outputs with the library's numbers, and prints the costs of a
+sample.
 
-    python tests/firmware/processor/replay.py           # skips with a word where tools are missing
+    python tests/firmware/processor/replay.py           # prints which tools are missing
     python tests/firmware/processor/replay.py --update  # writes the costs into the package
 
-Instructions are counted, not timed: ``-icount shift=10`` makes every instruction last 1024 ns of
-virtual time, and the processor's SysTick timer, which runs on virtual time, is read before and
-after each call; its period is short enough that ticks tell the number of instructions exactly.
+Instructions are counted, not timed: with ``-icount shift=10`` every instruction lasts 1024 ns of
+virtual time. The processor's SysTick timer runs on virtual time and is read before and after each
+call. The period of the timer is so short that ticks give the exact number of instructions.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from fluxobs.simulation.closed_form.firmware_record import firmware_record
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
-#: The memory is short so that the vectors reach the carrying of the flux through a stop.
+#: The memory is short so that the vectors include open-loop integration of the flux through a stop.
 MACHINE, SAMPLE_TIME, MEMORY = "servo-400w", 1e-4, 0.006
 #: Virtual time of an instruction [ns].
 INSTRUCTION = 1024
@@ -52,29 +53,31 @@ SIZE = ["-Os", "-fno-tree-loop-distribute-patterns"]
 
 @dataclass(frozen=True)
 class Build:
-    """One way to compile, and the board that QEMU emulates for it."""
+    """Compiler options, and the board that QEMU emulates for them."""
 
     name: str
     flags: list[str]
     board: str
-    clock: float  # of the SysTick timer [Hz]
+    clock: float  # frequency of the SysTick timer [Hz]
     linker: str
-    hard: bool  # has a floating-point unit
-    fused: bool = False  # the compiler may fuse multiplications and additions: last digits differ
+    hard: bool  # Has a floating-point unit.
+    fused: bool = (
+        False  # The compiler may fuse multiplications with additions, which changes last digits.
+    )
 
 
 KINDS = {"plain": ("drift",), "adaptive": ("drift", "resistance", "inverter")}
 STEPS = {"plain": "fo_step_single", "adaptive": "fo_adaptive_step_single"}
-#: Of the first build: instructions of a sample, bytes. The adaptive observer has 2.7 times the
-#: instructions of the plain one; L_d and L_q, two more unknowns in its triangle, took 128 bytes of
-#: state and 120 of stack.
+#: Limits of the first build: instructions of a sample, bytes. The adaptive observer has 2.7 times
+#: the instructions of the plain observer. Its unknowns L_d and L_q cost 128 bytes of state and 120
+#: bytes of stack.
 BUDGETS = {
     "plain": {"mean": 1300, "most": 1600, "state": 400, "stack": 256},
     "adaptive": {"mean": 4800, "state": 1200, "stack": 1048},
 }
-#: What a fused build may differ: share of the flux, angle [rad].
+#: Largest difference of a fused build: share of the flux, angle [rad].
 FUSED = (1e-4, math.radians(0.05))
-#: What a look-up in a table may add to a linear map [instructions].
+#: Instructions that a look-up in a table may add to those of a linear map.
 LOOK_UP = 300
 M4F = ["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"]
 M0 = ["-mcpu=cortex-m0", "-O2"]
@@ -97,7 +100,7 @@ BUILDS = (
 def compile_for(
     build: Build, folder: Path, kind: str, more: Sequence[str] = ()
 ) -> tuple[Path, int]:
-    """The program, and the bytes of the observer in it: code and constants of its sources."""
+    """Return (program, bytes of the observer in it: code and constants of its sources)."""
     flags = [*COMMON, *build.flags, *more, "-I", folder, "-I", folder / "test", "-I", HERE]
     flags += ["-DADAPTIVE"] if kind == "adaptive" else []
     observer, program = folder / "observer.o", folder / "program.elf"
@@ -109,7 +112,7 @@ def compile_for(
     sources = [HERE / "main.c", folder / "test" / "check.c", *parts, folder / "motor_observer.c"]
     link(build, flags, sources, program)
     linked = sizes(program)
-    # Without what only those need who step every few interrupts.
+    # Leave out what is only needed to step every few interrupts.
     few = {
         "fo_gather_single",
         "fo_step_volt_seconds_single",
@@ -120,7 +123,7 @@ def compile_for(
 
 
 def link(build: Build, flags: Sequence[object], sources: Sequence[Path], program: Path) -> None:
-    """A program for the board."""
+    """Link a program for the board."""
     command = ["arm-none-eabi-gcc", "-Wl,--gc-sections", *flags, HERE / "startup.c", *sources]
     command += ["-nostartfiles", "--specs=nano.specs", "-L", HERE, "-T", HERE / build.linker]
     command += ["-Wl,--no-warn-rwx-segments", "-lm", "-o", program]
@@ -128,7 +131,7 @@ def link(build: Build, flags: Sequence[object], sources: Sequence[Path], program
 
 
 def sizes(path: Path) -> dict[str, int]:
-    """Bytes of each function and constant."""
+    """Return the bytes of each function and constant."""
     out = subprocess.run(
         ["arm-none-eabi-nm", "-S", "-t", "d", path], check=True, capture_output=True, text=True
     ).stdout
@@ -137,7 +140,7 @@ def sizes(path: Path) -> dict[str, int]:
 
 
 def said_by(build: Build, program: Path) -> tuple[list[tuple[str, int]], int]:
-    """Names and numbers that the program prints, and its exit code."""
+    """Return (names and numbers that the program prints, exit code)."""
     command = ["qemu-system-arm", "-M", build.board, "-nographic", "-monitor", "none"]
     command += ["-serial", "none", "-semihosting-config", "enable=on,target=native"]
     command += ["-icount", "shift=10", "-kernel", str(program)]
@@ -150,19 +153,20 @@ def said_by(build: Build, program: Path) -> tuple[list[tuple[str, int]], int]:
 
 
 def run(build: Build, program: Path) -> tuple[dict[str, int], np.ndarray, float]:
-    """What the program says: its numbers, the instructions of every step, and of gathering."""
+    """Return (numbers printed by the program, instructions of every step, of gathering)."""
     pairs, rc = said_by(build, program)
     ticks = np.array([value for name, value in pairs if name.startswith("ticks")])
     said = {name: value for name, value in pairs if name != "ticks"}
     per_instruction = build.clock * INSTRUCTION * 1e-9
-    instructions = (ticks[1:] - ticks[0]) / per_instruction  # less those of reading the timer
+    # The first ticks are those of reading the timer.
+    instructions = (ticks[1:] - ticks[0]) / per_instruction
     counted = np.round(instructions)
-    assert np.abs(instructions - counted).max() < 0.1, "ticks do not tell instructions"
+    assert np.abs(instructions - counted).max() < 0.1, "ticks are not whole instructions"
     return said | {"rc": rc}, counted[:-1], counted[-1]
 
 
 def as_expected(build: Build, said: dict[str, int]) -> bool:
-    """Whether every output is the library's: bit for bit, or if fused within its tolerances."""
+    """Whether every output equals the library's, bit for bit or, if fused, within tolerances."""
     if build.fused:
         flux, angle = said["flux_error_e9"] / 1e9, said["angle_error_e9"] / 1e9
         return not said["damaged"] and said["valid"] > 0 and flux < FUSED[0] and angle < FUSED[1]
@@ -170,7 +174,7 @@ def as_expected(build: Build, said: dict[str, int]) -> bool:
 
 
 def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[str, Any], bool]:
-    """Costs of one kind of observer, and whether anything was not as it has to be."""
+    """Return (costs of one kind of observer, whether any check failed)."""
     costs: dict[str, Any] = {"compiler": compiler, "builds": []}
     failed = False
     with tempfile.TemporaryDirectory() as scratch:
@@ -207,7 +211,7 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
     for what, most in BUDGETS[kind].items():
         if costs["builds"][0][what] > most:
             name = costs["builds"][0]["name"]
-            print(f"FAILED: {kind}, {name}: {costs['builds'][0][what]} {what}, at most {most}")
+            print(f"FAILED: {kind}, {name}: {what} is {costs['builds'][0][what]}, limit {most}")
             failed = True
     print()
     print(cost_table(costs))
@@ -216,7 +220,7 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
 
 
 def print_shares(machine: fluxobs.Machine, build: Build, instructions: np.ndarray) -> None:
-    """What a sample costs while the adaptive observer starts, and while its filter runs."""
+    """Print the costs of a sample before and while the adaptive observer's filter runs."""
     observer = fluxobs.AdaptiveObserver.for_machine(
         machine,
         sample_time=SAMPLE_TIME,
@@ -228,13 +232,13 @@ def print_shares(machine: fluxobs.Machine, build: Build, instructions: np.ndarra
     running = observer.run(record.voltage, record.current).adapting
     print(
         f"adaptive, {build.name}: starting on {1 - running.mean():.0%} of the rows, "
-        f"{instructions[~running].mean():.0f} instructions on the mean; then "
+        f"mean {instructions[~running].mean():.0f} instructions; then "
         f"{instructions[running].mean():.0f}"
     )
 
 
 def measure_maps() -> bool:
-    """Prints what maps add to a sample of the plain observer; whether a look-up is too dear."""
+    """Print the instructions that maps add to a sample; return whether a look-up has too many."""
     model = AlgebraicSaturation(a_d0=17.4, a_dd=373, a_q0=52.1, a_qq=658, a_dq=1120)
     machines = {
         "without": fluxobs.read_machine(MACHINE),
@@ -254,12 +258,12 @@ def measure_maps() -> bool:
         f"{table:.0f} more"
     )
     if table > LOOK_UP:
-        print(f"FAILED: a look-up in a table may add {LOOK_UP} instructions")
+        print(f"FAILED: a look-up in a table may add at most {LOOK_UP} instructions")
     return bool(table > LOOK_UP)
 
 
 def measure_configuring() -> bool:
-    """Prints what a motor chosen in the field costs before its first step; whether it failed."""
+    """Print the costs of a motor chosen in the field before its first step; return failure."""
     failed = False
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "motor"
@@ -311,8 +315,8 @@ def main() -> int:
             in_docs.write(f"costs: {kind}", table)
         print(f"Written: {target} and {in_docs.PAGE}")
     elif not failed and read_costs() != costs:
-        print("These are not the costs that the package states; run with --update, and docs too")
-        failed = read_costs()["plain"]["compiler"] == compiler  # another compiler, other numbers
+        print("These costs differ from those in the package; run with --update, for the docs too")
+        failed = read_costs()["plain"]["compiler"] == compiler  # other compilers give other numbers
     return 1 if failed else 0
 
 

@@ -80,7 +80,7 @@ void Reset_Handler(void)
         *to = 0U;
     }
 #ifdef __ARM_FP
-    *(volatile uint32_t *)0xE000ED88U |= 0xFU << 20; /* the floating-point unit on */
+    *(volatile uint32_t *)0xE000ED88U |= 0xFU << 20; /* switch on the floating-point unit */
     __asm__ volatile("dsb\n isb");
 #endif
     stop(main());

@@ -1,12 +1,12 @@
-"""The exported folder compiled for every usual processor: code, state, parameters and stack.
+"""Sizes of the exported folder on every usual processor: code, state, parameters and stack.
 
-    python tests/firmware/processor/targets.py           # leaves out those without a compiler here
+    python tests/firmware/processor/targets.py           # omits processors without a compiler
     python tests/firmware/processor/targets.py --update  # writes docs/firmware.md
 
-Code is what a linker keeps of the sources for a program that calls fo_reset and fo_step, without
-the C library (of WebAssembly the module). Stack is the deepest path of calls within the sources,
-from the compiler's own graph. Ends with 1 if a target does not compile; compilers of other versions
-have other sizes.
+Code is the part of the sources that a linker keeps for a program that calls fo_reset and fo_step,
+without the C library; for WebAssembly it is the module. Stack is the deepest path of calls within
+the sources, by the compiler's own graph. Exits with 1 if a target does not compile. Other versions
+of a compiler give other sizes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ COMMON += ["-fdata-sections", "-Wall", "-Wextra", "-Werror"]
 
 @dataclass(frozen=True)
 class Target:
-    """A processor: its tools' prefix, its options, and what is to be said of it."""
+    """A processor: prefix of its tools, compiler options, and a note."""
 
     name: str
     tools: str
@@ -69,7 +69,7 @@ TARGETS = (
     Target(
         "RISC-V rv32imafc", "riscv64-unknown-elf-", ("-march=rv32imafc", "-mabi=ilp32f", *_RISC)
     ),
-    Target("AVR ATmega2560", "avr-", ("-mmcu=atmega2560",), "fits, and is far too slow"),
+    Target("AVR ATmega2560", "avr-", ("-mmcu=atmega2560",), "the code fits but is far too slow"),
     Target("x86-64", "", ()),
 )
 
@@ -84,7 +84,7 @@ def _run(*command: object) -> str:
 
 
 def measure(target: Target, folder: Path, kind: str) -> dict[str, int | None]:
-    """Bytes of code, state, parameters and stack."""
+    """Return (code, state, parameters, stack) in bytes."""
     made = folder / "made"
     shutil.rmtree(made, ignore_errors=True)
     made.mkdir()
@@ -98,7 +98,8 @@ def measure(target: Target, folder: Path, kind: str) -> dict[str, int | None]:
         f"char size_of_state[sizeof({fo}_state)];\nchar size_of_parameters[sizeof({observer})];\n"
     )
     flags = [*COMMON, *target.flags, f"-I{folder}"]
-    graph = ["-fcallgraph-info=su"] if target.tools != "avr-" else []  # its gcc is too old
+    # The AVR compiler is too old for the option.
+    graph = ["-fcallgraph-info=su"] if target.tools != "avr-" else []
     parts = []
     for source in [*sorted(folder.glob("fluxobs*.c")), sizes]:
         parts.append(made / f"{source.stem}.o")
@@ -124,7 +125,7 @@ def measure(target: Target, folder: Path, kind: str) -> dict[str, int | None]:
 
 
 def measure_module(folder: Path, kind: str) -> int:
-    """Bytes of a WebAssembly module with fo_reset and fo_step."""
+    """Return the bytes of a WebAssembly module with fo_reset and fo_step."""
     fo = "fo_adaptive" if kind == "adaptive" else "fo"
     module = folder / "module.wasm"
     flags = ["-std=c99", "-Os", "-ffp-contract=off", f"-I{folder}", "-mexec-model=reactor"]
@@ -135,7 +136,7 @@ def measure_module(folder: Path, kind: str) -> int:
 
 
 def deepest(made: Path, start: str) -> int:
-    """Stack of the deepest path of calls, by the compiler's graphs (.ci files)."""
+    """Return the stack of the deepest path of calls, by the compiler's graphs (.ci files)."""
     own: dict[str, int] = {}
     calls: dict[str, set[str]] = {}
     for graph in made.glob("*.ci"):
@@ -178,12 +179,12 @@ def main() -> int:
     table = "\n".join([head, "|---|---|---|---|---|---|", *rows])
     print(table)
     if missing:
-        print(f"No compiler here for {', '.join(missing)}")
+        print(f"Compilers are missing for {', '.join(missing)}")
     if options.update and not missing:
         in_docs.write("targets", table)
         print(f"Written: {in_docs.PAGE}")
     elif not missing and in_docs.read("targets") != table:
-        print("These are not the sizes in docs/firmware.md; run with --update")
+        print("These sizes differ from those in docs/firmware.md; run with --update")
     return 0
 
 

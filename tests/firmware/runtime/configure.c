@@ -1,6 +1,6 @@
-/* The configuration of a machine from its numbers, printed as bits: the observer, its map, and the
- * adaptive observer with everything to be learnt. Arguments: kind, R_s, L_d, L_q, psi, R_R, L_M, rated
- * current, electrical speed, sample time, dc link. */
+/* Prints the bits of a machine's configuration: the observer, its map, and the adaptive observer
+ * with all unknowns. Arguments: kind, R_s, L_d, L_q, psi, R_R, L_M, rated current, electrical
+ * speed, sample time, DC link. */
 #include <stdio.h>
 #include <stdlib.h>
 

@@ -1,5 +1,6 @@
-/* In an exported folder: the blob beside it is the observer in the source, packing is undone by
- * unpacking, any damaged byte is seen, and what was learnt comes back. Arguments: the blob. */
+/* For an exported folder. The blob beside the folder must contain the observer of the source,
+ * unpacking must undo packing, any damaged byte must be detected, and learnt values must be
+ * restored. Argument: the blob. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -98,7 +99,7 @@ static void check_learnt(void)
     fo_adaptive_learnt(&motor_observer, &restored, &after);
     demand_that(after.resistance_error == 0 && after.resistance_std > before.resistance_std,
                 "a refused save has left something");
-    other = motor_observer; /* another resistance is assumed by now */
+    other = motor_observer; /* assume another resistance now */
     other.plain.hR[0][0] *= (fo_real)1.25;
     other.plain.hR[1][1] *= (fo_real)1.25;
     demand_that(fo_adaptive_restore(&other, &restored, blob, FO_SAVED_BYTES, 0) == FO_OK,
@@ -106,7 +107,7 @@ static void check_learnt(void)
     fo_adaptive_learnt(&other, &restored, &after);
     const fo_real off = before.resistance_error - (fo_real)0.25 * R - after.resistance_error;
     const fo_real share = before.resistance_std / motor_observer.std[FO_RESISTANCE];
-    const fo_real most = R * ((fo_real)1e-5 + (fo_real)0.5 * share * share); /* the prior moves */
+    const fo_real most = R * ((fo_real)1e-5 + (fo_real)0.5 * share * share); /* the prior changes */
     demand_that(off * off < most * most, "the resistance has changed");
     fo_adaptive_restore(&motor_observer, &restored, blob, FO_SAVED_BYTES, (fo_real)INFINITY);
     fo_adaptive_learnt(&motor_observer, &restored, &after);
@@ -121,7 +122,7 @@ static void check_learnt(void)
     demand_that(after.resistance_std > (fo_real)0.99 * motor_observer.std[FO_RESISTANCE] &&
                     after.resistance_std < (fo_real)1.01 * motor_observer.std[FO_RESISTANCE],
                 "a state of zeros was taken for knowledge");
-    for (int k = 0; k < SAMPLES; k++) { /* again, for what follows */
+    for (int k = 0; k < SAMPLES; k++) { /* learn again for the next test */
         fo_adaptive_step(&motor_observer, &state, &samples[k][0], &samples[k][2], &e);
     }
     fo_adaptive_save(&motor_observer, &state, blob);

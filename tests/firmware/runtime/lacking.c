@@ -1,5 +1,6 @@
-/* In an exported folder whose sources leave out held voltages and matrices that are more than numbers:
- * a configuration that needs them is refused, and the field named. */
+/* For an exported folder whose sources leave out held voltages and matrices that are not multiples
+ * of the identity. A configuration that needs these features must be refused, with the name of the
+ * field. */
 #include <stdio.h>
 #include <string.h>
 
@@ -37,6 +38,6 @@ int main(void)
     refused(&config, "E");
     config = good;
     config.kink_now = (fo_real)0.02;
-    refused(&config, "R"); /* large beside L over the sample time */
+    refused(&config, "R"); /* R is large compared with L over the sample time */
     return failures;
 }

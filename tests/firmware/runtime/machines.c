@@ -1,5 +1,5 @@
-/* Machines that cannot be, and wrong units: fo_configure names the number, and fo_init refuses what it
- * leaves. */
+/* Impossible machines and wrong units: fo_configure must name the number, and fo_init must refuse
+ * the configuration. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -23,7 +23,7 @@ static void expect(const char *motor, const fo_machine *m, fo_real sample_time, 
     }
 }
 
-/* One number of a machine times a factor, or another in its place. */
+/* Multiplies one number of a machine by a factor, or replaces it. */
 static void times(const char *motor, const fo_machine *m, size_t offset, fo_real factor, const char *field)
 {
     fo_machine changed = *m;
@@ -49,7 +49,8 @@ static void impossible(const char *motor, const fo_machine *m, size_t offset, co
     set(motor, m, offset, (fo_real)-0.5, field);
 }
 
-/* The machine whose number is just within its limit is taken; just beyond, `field` is named. */
+/* A machine with a number just within its limit is accepted. If the number is just beyond, `field`
+ * is named. */
 static void both_sides(const fo_machine *m, size_t offset, bool most, const char *field)
 {
     const fo_real little = (fo_real)1e-4;
@@ -60,13 +61,13 @@ static void both_sides(const fo_machine *m, size_t offset, bool most, const char
 static void check_limits(void)
 {
     const fo_machine magnets[] = {
-        /* R_s, L, psi, current: each ratio at its lower or upper limit */
+        /* R_s, L, psi, current: each ratio is at its lower or upper limit */
         fo_pmsm(1, (fo_real)2e-6, 1, 2000),          /* L/R of 2 us */
-        fo_pmsm(1, 5, 1, 1),                         /* and of 5 s */
-        fo_pmsm(1, (fo_real)3e-3, 1, 1 / (fo_real)3), /* L i of a thousandth of psi */
-        fo_pmsm(1, (fo_real)0.03, 1, 50 / (fo_real)0.03), /* and of 50 times */
-        fo_pmsm((fo_real)0.01, (fo_real)0.01, 1, 1), /* R i of psi at 0.01 rad/s */
-        fo_pmsm(1, (fo_real)1e-4, 1, (fo_real)2e4),  /* and at 20 000 */
+        fo_pmsm(1, 5, 1, 1),                         /* L/R of 5 s */
+        fo_pmsm(1, (fo_real)3e-3, 1, 1 / (fo_real)3), /* L i is a thousandth of psi */
+        fo_pmsm(1, (fo_real)0.03, 1, 50 / (fo_real)0.03), /* L i is 50 times psi */
+        fo_pmsm((fo_real)0.01, (fo_real)0.01, 1, 1), /* R i equals the EMF at 0.01 rad/s */
+        fo_pmsm(1, (fo_real)1e-4, 1, (fo_real)2e4),  /* R i equals the EMF at 20 000 rad/s */
     };
     both_sides(&magnets[2], AT(rated_current), false, "psi or rated_current");
     both_sides(&magnets[3], AT(rated_current), true, "psi or rated_current");
@@ -89,7 +90,7 @@ static void check_limits(void)
     both_sides(&cage, AT(R_R), true, "R_R");
     cage.R_R = cage.L_M / 100;
     both_sides(&cage, AT(R_R), false, "R_R");
-    /* of a ratio to L_sigma that no machine has, L_M is the cause */
+    /* L_M is the cause of an implausible ratio to L_sigma */
     cage.L_M = cage.L_q;
     cage.R_R = cage.L_M * 2000;
     expect("L_M as L_sigma", &cage, H, "R_R");
@@ -102,7 +103,7 @@ static void check_limits(void)
     cage.R_R = cage.L_M * 2000;
     expect("L_M beyond 1000 L_sigma", &cage, H, "L_M");
     const fo_machine servo = fo_pmsm((fo_real)0.36, (fo_real)0.6e-3, (fo_real)0.0125, 12);
-    /* the usual memory, 30 ms, is 9.99 to 1.001e6 samples */
+    /* the usual memory, 30 ms, is 9.99 to 1.001e6 samples here */
     expect("long samples", &servo, (fo_real)3.002e-3, NULL);
     expect("longer samples", &servo, (fo_real)3.004e-3, "sample_time");
     expect("short samples", &servo, (fo_real)2.998e-8, NULL);
@@ -142,7 +143,7 @@ int main(void)
         impossible(name, m, AT(rated_current), "rated_current");
         set(name, m, AT(speed_e), NANS, "speed_e");
         set(name, m, AT(speed_e), (fo_real)-1, "speed_e");
-        /* in milliohms, millihenries, milliwebers, milliamperes */
+        /* numbers in milliohms, millihenries, milliwebers, milliamperes */
         fo_machine both = *m;
         both.L_d *= k;
         both.L_q *= k;
@@ -163,7 +164,7 @@ int main(void)
         other.kind = (fo_kind)7;
         expect(name, &other, H, "kind");
     }
-    fo_machine turned = motors[4].machine; /* d is the axis of high permeance */
+    fo_machine turned = motors[4].machine; /* here d is the axis of high permeance */
     turned.L_d = motors[4].machine.L_q;
     turned.L_q = motors[4].machine.L_d;
     expect("turned", &turned, H, "L_d");

@@ -1,5 +1,6 @@
-/* In an exported folder: a configuration is changed while the record runs. A plain observer goes on as
- * one that was changed by hand; what an adaptive one has learnt stays true. */
+/* For an exported folder: a configuration changes while the record runs. A plain observer continues
+ * like an observer whose numbers were changed by hand. The learnt values of an adaptive observer
+ * stay true. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -76,7 +77,7 @@ static void check_adaptive(const fo_config *config, const fo_adaptive_config *ad
         const fo_adaptive *now = fo_adaptive_take(&r, &a);
         if (k == SAMPLES / 2) {
             fo_adaptive_learnt(now, &a, &after);
-            /* the prior goes along: a value moves by its share of what is known */
+            /* the prior changes too: a value moves by the share that the prior determines */
             const fo_real tiny = (fo_real)1e-5, std_R = before.resistance_std / one.std[FO_RESISTANCE];
             const fo_real std_psi = before.psi_f_std / (one.std[FO_PSI] * one.plain.flux_base);
             const fo_real std_V = before.inverter_std / (one.std[FO_INVERTER] * (fo_real)1.5);
@@ -100,7 +101,7 @@ static void check_adaptive(const fo_config *config, const fo_adaptive_config *ad
     printf("angles differ by %.2g degrees at most\n", (double)off * 57.3);
     demand_that(off < (fo_real)0.01, "the position has changed");
 
-    /* before anything is learnt the new values hold */
+    /* before anything is learnt, the new values are the estimates */
     fo_adaptive_retunable_init(&r, &one);
     fo_adaptive_reset(&one, &a);
     fo_adaptive_retune(&r, &hot, &changed);

@@ -1,5 +1,5 @@
-/* In an exported folder: seeds that cannot be only reset the state, whatever they hold; every estimate
- * of the record that follows is finite, and it becomes valid. */
+/* For an exported folder: impossible seeds only reset the state, whatever they contain. Every
+ * estimate of the following record is finite, and the position becomes valid. */
 #include <math.h>
 #include <stdio.h>
 
@@ -75,12 +75,12 @@ int main(void)
         }
     }
     fo_seed unsure = good;
-    unsure.theta_e_std = (fo_real)0; /* as a structure of zeros has it */
+    unsure.theta_e_std = (fo_real)0; /* as in a structure of zeros */
     if (!(std_after(&unsure) > UNKNOWN)) {
         printf("a seed without a standard deviation is believed\n");
         failures++;
     }
-    for (int side = -1; side <= 1; side += 2) { /* an angle of more than a turn is no angle */
+    for (int side = -1; side <= 1; side += 2) { /* angles of more than a turn are refused */
         fo_seed turn = good;
         turn.theta_e = (fo_real)side * (fo_real)6.2831;
         const bool inside = std_after(&turn) < (fo_real)0.2;

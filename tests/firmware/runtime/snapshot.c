@@ -1,4 +1,5 @@
-/* A thread that writes estimates as an interrupt does, one that reads them: never a mixture. */
+/* One thread writes estimates like an interrupt, another thread reads them. The reader must never
+ * get a mixture of two estimates. */
 #include <pthread.h>
 #include <stdio.h>
 #include <string.h>
@@ -43,7 +44,7 @@ int main(void)
     pthread_join(thread, NULL);
     const bool last = fo_read(&shared, &e) && e.psi_f == (fo_real)(WRITES % 1000);
     printf("%ld reads, %ld mixtures\n", reads, mixtures);
-    /* a count that is at its end goes on from 1, as 0 says that there is no estimate */
+    /* a count at its maximum continues with 1, as 0 means that there is no estimate */
     const uint32_t ends[2][2] = {{UINT32_MAX, 1U}, {UINT32_MAX - 1U, UINT32_MAX}};
     bool counts = true;
     for (int n = 0; n < 2; n++) {

@@ -1,4 +1,5 @@
-/* In an exported folder: the class of fluxobs.hpp beside the C functions, sample by sample. */
+/* For an exported folder: compares the class of fluxobs.hpp with the C functions, sample by
+ * sample. */
 #include <stdio.h>
 #include <string.h>
 

@@ -1,5 +1,5 @@
-/* Spoils one field of a good configuration after the other: fo_init refuses it, and fo_wrong names
- * the field. */
+/* Makes one field of a good configuration wrong at a time: fo_init must refuse it, and fo_wrong
+ * must name the field. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
