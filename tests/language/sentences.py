@@ -94,7 +94,7 @@ def _comments(text: str) -> Iterator[tuple[int, str, str]]:
 
 
 def read_c(text: str) -> Iterator[tuple[int, str, str]]:
-    for match in re.finditer(r"/\*(.*?)\*/|//(.*)", text, re.DOTALL):
+    for match in re.finditer(r"/\*(.*?)\*/|//([^\n]*)", text, re.DOTALL):
         prose = re.sub(r"^\s*\* ?", "", match[1] or match[2] or "", flags=re.MULTILINE)
         yield text[: match.start()].count("\n") + 1, "comment", prose
 
