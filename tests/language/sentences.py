@@ -99,7 +99,7 @@ def read_c(text: str) -> Iterator[tuple[int, str, str]]:
         yield text[: match.start()].count("\n") + 1, "comment", prose
 
 
-READERS = {".md": read_markdown, ".py": read_python, ".c": read_c, ".h": read_c, ".hpp": read_c}
+READERS = {".md": read_markdown, ".py": read_python, ".c": read_c, ".h": read_c, ".hpp": read_c, ".cpp": read_c}
 
 
 def read_project() -> list[Sentence]:
