@@ -1,4 +1,4 @@
-"""The linear regression of Lemma 1, and parametrisations of its unknown constants."""
+"""The linear regression of Lemma 1 and parametrisations of its unknown constants."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Regressors(NamedTuple):
     phi_c: jax.Array  # ()
 
     def part(self, rows: Any) -> Regressors:
-        """Return rows of a record: slice, mask or numbers. NumPy cuts them, without compilation."""
+        """Return rows of a record (slice, mask or numbers) in NumPy, which needs no compilation."""
         selected: Any = (np.asarray(entries)[rows] for entries in self)
         return Regressors(*selected)
 
@@ -46,16 +46,16 @@ class Parametrisation(eqx.Module):
     ----------
     constraint : QuadraticConstraint
     kind : {"printed", "structured", "voltage-bias"}
-        "printed": the paper's (θ, θ_a, θ_b, 2/ν θᵀQ1θ), without its entry 1 of y_b, whose regressor
-        vanishes. "structured": (θ, δ_i, θᵀQ1θ), with θ_a and θ_b as known functions of one current
-        bias. "voltage-bias": (θ, θᵀQ1θ), exact if the currents have no bias.
+        "printed" is the paper's (θ, θ_a, θ_b, 2/ν θᵀQ1θ) without the entry 1 of y_b, whose
+        regressor vanishes. "structured" is (θ, δ_i, θᵀQ1θ), with θ_a and θ_b as known functions of
+        one current bias. "voltage-bias" is (θ, θᵀQ1θ), exact if the currents have no bias.
     corner : float
         ν of the filters [rad/s]; it scales the last constant as in the paper.
 
     Notes
     -----
-    With a regular Q1 the printed regressor is never persistently exciting unless Q3 = 0: up to
-    decaying terms, ``Φ_flux = 2 Q1 Φ_a + Q2 Φ_b`` (erratum 5).
+    With a regular Q1, the printed regressor is persistently exciting only if Q3 = 0, because
+    ``Φ_flux = 2 Q1 Φ_a + Q2 Φ_b`` up to decaying terms (erratum 5).
     """
 
     Q1: jax.Array
@@ -95,7 +95,7 @@ class Parametrisation(eqx.Module):
         return jnp.concatenate(blocks)
 
     def constants(self, drift: Any, current_bias: Any) -> NDArray[np.float64]:
-        """Return the true constants for a drift [V] and a current bias [A], (n_θ,)."""
+        """Return the true constants (n_θ,) for a drift [V] and a current bias [A]."""
         theta = np.asarray(real("drift", drift, (self.n,)))
         delta = np.asarray(real("current_bias", current_bias, (self.n,)))
         Q1, Q2, Q3 = (np.asarray(matrix) for matrix in (self.Q1, self.Q2, self.Q3))
@@ -132,7 +132,7 @@ class Parametrisation(eqx.Module):
 def residual(
     rows: Regressors, constraint: QuadraticConstraint, flux: Any, drift: Any, current_bias: Any
 ) -> jax.Array:
-    """Return y minus the terms of true flux, drift and current bias; leading axes as in `rows`."""
+    """Return y minus the terms of true flux, drift and current bias, with the axes of `rows`."""
     Q1, Q2, Q3 = (jnp.asarray(getattr(constraint, name)) for name in ("Q1", "Q2", "Q3"))
     theta, delta = jnp.asarray(drift), jnp.asarray(current_bias)
     explained = (
