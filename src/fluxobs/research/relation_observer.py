@@ -224,7 +224,7 @@ class RelationObserver(eqx.Module):
         return after, passes[3][0]
 
     def run(self, volt_seconds: Any, current: Any) -> RelationEstimate:
-        """Run over a record: volt-seconds (rows, n) of the interval before each row, and currents."""
+        """Process a record: volt-seconds (rows, n) of the intervals before the rows; currents."""
         v, i = real("volt_seconds", volt_seconds), real("current", current)
         if v.shape != i.shape or v.ndim != 2 or v.shape[1] != self.n:
             raise ModelError(

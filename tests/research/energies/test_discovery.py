@@ -213,7 +213,7 @@ def test_saturation_uncovered_by_features():
 @pytest.mark.parametrize(
     ("features", "degree", "message"),
     [
-        ({}, 2, "at least one is needed"),
+        ({}, 2, "at least one feature"),
         ({"x": lambda x, i: x}, 2, r"feature x must return \(.*\), got shape"),
         ({"x": lambda x, i: np.log(-x[:, 0])}, 2, "feature x is not finite at flux"),
         ({"x": lambda x, i: x[:, 0]}, 5, "degree must be 1, 2, 3 or 4"),
@@ -330,8 +330,8 @@ def one_coil(travel):
 @pytest.mark.parametrize(
     ("make", "size", "remedy"),
     [
-        (lambda: interior_pmsm(L_d=0.5e-3 * (1 + 1e-5)), 6.5e-12, "move it away"),
-        (lambda: synchronous_reluctance(L_d=0.01 * (1 + 1e-7)), 2.5e-8, "move it away"),
+        (lambda: interior_pmsm(L_d=0.5e-3 * (1 + 1e-5)), 6.5e-12, "change this parameter"),
+        (lambda: synchronous_reluctance(L_d=0.01 * (1 + 1e-7)), 2.5e-8, "change this parameter"),
         (lambda: one_coil(1e-6), 2.4e-7, "widen position_range"),
     ],
 )

@@ -77,11 +77,11 @@ def test_between_is_exact_for_resolved_signals(samples):
 def test_too_few_samples_are_refused():
     t = PERIOD * np.arange(16) / 16
     _, y_m, current = sampled(t)
-    with pytest.raises(ModelError, match="y_m: 16 samples a period do not resolve it"):
+    with pytest.raises(ModelError, match="y_m: 16 samples per period do not resolve"):
         periodic_regression(RELATION, CORNER, Orbit(PERIOD, y_m, current))
     # Whatever the unit: resolution does not depend on the size of the signals.
     for unit in (1e-6, 1e6):
-        with pytest.raises(ModelError, match="16 samples a period do not resolve it"):
+        with pytest.raises(ModelError, match="16 samples per period do not resolve"):
             periodic_regression(RELATION, CORNER, Orbit(PERIOD, unit * y_m, unit * current))
     _, fine, fine_current = sampled(PERIOD * np.arange(256) / 256)
     for unit in (1e-6, 1e6):

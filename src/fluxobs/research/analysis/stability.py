@@ -178,8 +178,8 @@ def _check_closed(psi: Array) -> None:
     worst = float((jump / np.maximum(inside, floor)).max())
     if worst > 10:
         raise ModelError(
-            f"not periodic: at the end of the period the regressor bends {worst:.3g} times as much "
-            f"as inside; give one period in steady state, or periodic=False"
+            f"psi is not periodic: at the end of the period, it bends {worst:.3g} times as much as "
+            f"inside; give one period in steady state or periodic=False"
         )
 
 

@@ -70,8 +70,8 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
         high = power[-max(1, len(power) // 10) :].sum(axis=0)
         if (high > RESOLVED * power.sum(axis=0)).any():
             raise ModelError(
-                f"{name}: {len(i)} samples a period do not resolve it; use more, and check that "
-                f"the period is {orbit.period:g} s"
+                f"{name}: {len(i)} samples per period do not resolve this signal; use more samples "
+                f"and check that the period is {orbit.period:g} s"
             )
     filters = cascade(regression, lag, y_m, i)
     return read_out_record(regression, filters, i)
