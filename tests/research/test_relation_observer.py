@@ -109,7 +109,7 @@ def test_noise_of_the_voltage_is_in_the_standard_deviation():
 
 
 def test_a_moving_relation_estimates_its_moving_coefficient():
-    """An induction machine's |λ - L_σ i|² = η², η' = -α η + R_R i_d, starts at a wrong length."""
+    """The relation |λ - L_σ i|² = η², η' = -α η + R_R i_d starts at a wrong length η."""
     L_sigma, R_R, L_M = 0.01, 2.1, 0.22
     alpha = R_R / L_M
     t = H * np.arange(ROWS)

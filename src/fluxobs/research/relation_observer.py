@@ -1,10 +1,10 @@
 """Observer for any relation between flux and current: an extended Kalman filter.
 
 The immersion of the paper's quadratic relations is exact, but not every machine has such a
-relation. This observer takes any relation ``h(λ, η, i) = 0`` written in JAX and linearises it at
+relation. This observer accepts any relation ``h(λ, η, i) = 0`` written in JAX and linearises it at
 the estimate:
 
-* Relations linear in λ with coefficients in i (switched reluctance), with the exact Kalman filter.
+* Relations linear in λ with coefficients in i (switched reluctance); the filter is then exact.
 * Relations in features such as ``-ln(1 - λ/ψ_s)`` (saturation), or of any degree.
 * Relations with moving coefficients η that have their own equation (the rotor flux of an induction
   machine obeys ``η' = -α η + R_R i_d``).
@@ -66,7 +66,8 @@ class RelationObserver(eqx.Module):
     Parameters
     ----------
     relation : callable
-        ``h(flux (n,), eta (e,), current (n,))`` → residuals (r,), zero at the truth; in jax.numpy.
+        Function ``h(flux (n,), eta (e,), current (n,))`` → residuals (r,), written in jax.numpy.
+        The residuals are zero at the truth.
     n : int
         Number of ports.
     sample_time : float
@@ -79,13 +80,13 @@ class RelationObserver(eqx.Module):
     drift_walk : float
         Growth of the drift's standard deviation [V/√s]; 0 for constant offsets.
     start : (n,) array_like, optional
-        Flux at the start [Wb]; default zero. Nonlinear relations are linearised there.
+        Flux at the start [Wb]; default zero. Nonlinear relations are linearised at this flux.
     moving : (e,) array_like, optional
         η at the start; default empty.
     moving_prior : (e,) array_like, optional
         Standard deviation of η at the start.
     motion : callable, optional
-        ``η' = motion(flux, eta, current)``; default constant.
+        Function in ``η' = motion(flux, eta, current)``; by default, η is constant.
     floor : float
         Standard deviation of the relation's own error, in the unit of the residuals; it is always
         added. It keeps the filter regular if there is no noise.
@@ -224,7 +225,7 @@ class RelationObserver(eqx.Module):
         return after, passes[3][0]
 
     def run(self, volt_seconds: Any, current: Any) -> RelationEstimate:
-        """Process a record: volt-seconds (rows, n) of the intervals before the rows; currents."""
+        """Process the currents of a record and the volt-seconds before each row, both (rows, n)."""
         v, i = real("volt_seconds", volt_seconds), real("current", current)
         if v.shape != i.shape or v.ndim != 2 or v.shape[1] != self.n:
             raise ModelError(

@@ -25,7 +25,7 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 #: XLA scheduler that distributes even the smallest kernels of a loop over threads. A drive
-#: simulated sample by sample then needs up to 2.5 times as long and twice the processors.
+#: simulated sample by sample then needs up to 2.5 times the time and twice the processors.
 _SCHEDULER = "--xla_cpu_enable_concurrency_optimized_scheduler"
 #: First version of jaxlib with this flag; first version without it. XLA aborts on unknown flags.
 _SUPPORTED = ((0, 4, 36), (0, 11))
@@ -58,7 +58,7 @@ def double(name: str, value: Any) -> jax.Array:
 
 
 def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Array:
-    """Return an array of doubles; raise ModelError for single precision, wrong shape or no number.
+    """Return an array of doubles; raise ModelError if precision, shape or a value is invalid.
 
     Traced values are checked only for precision and shape.
     """

@@ -31,7 +31,7 @@ def at_nodes(signal, start, h, steps):
 
 
 def test_states_against_another_solver_and_their_order():
-    """x' = N x + f + ψ (r - ψᵀx) has all terms; the error falls with the step's fifth power."""
+    """The equation has all terms; the error falls with the fifth power of the step."""
     rng = np.random.default_rng(0)
     N, A, f = 0.3 * rng.standard_normal((4, 4)), rng.standard_normal((4, 3)), rng.standard_normal(4)
 

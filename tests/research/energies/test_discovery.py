@@ -259,7 +259,9 @@ def test_a_failed_check_states_residual_and_state():
     right = SurfacePMSM(R_s=1, L_s=0.6e-3, n_p=4, psi_f=0.0125).constraint
     assert check_constraint(surface_pmsm(), right) < 1e-12
     wrong = SurfacePMSM(R_s=1, L_s=0.7e-3, n_p=4, psi_f=0.0125).constraint
-    with pytest.raises(ModelError, match=r"does not hold: residual .* at flux \[.*position"):
+    with pytest.raises(
+        ModelError, match=r"does not hold: relative residual .* at flux \[.*position"
+    ):
         check_constraint(surface_pmsm(), wrong)
     with pytest.raises(ModelError, match="the relation has 2 ports, the system has 4"):
         check_constraint(doubly_fed(), right)
@@ -356,7 +358,7 @@ def test_an_approximate_relation_is_the_relation_of_the_nearest_machine():
 
 
 def test_a_port_without_current_and_one_independent_of_position():
-    """Affine relations are eliminated; other relations are found, still transformable."""
+    """Affine relations are eliminated; the other relations and transformability are found."""
 
     def magnetic_energy(flux, position):
         axis = jnp.array([jnp.cos(position[0]), jnp.sin(position[0])])

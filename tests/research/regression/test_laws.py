@@ -309,7 +309,7 @@ def test_mixed_estimates_follow_their_equation():
 
 
 def test_mixing_removes_the_initial_value_from_the_least_squares():
-    """With interval excitation, least squares keeps a part of its initial value, mixing none."""
+    """With interval excitation, least squares keeps a part of its start value; mixing does not."""
     rng = np.random.default_rng(6)
     theta = np.array([0.2, -0.1, 0.3])
     observers = {

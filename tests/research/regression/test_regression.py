@@ -117,7 +117,7 @@ def test_sampled_recursion_matches_the_sums_in_extended_precision(name):
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), a=st.floats(0.3, 0.95))
 def test_sampled_regression_is_exact_from_the_first_sample(seed, a):
-    """It is exact during the transient, with the start's moments times s and κ of the immersion."""
+    """It is exact in the transient too, with the start's moments times s, κ of the immersion."""
     rng = np.random.default_rng(seed)
     n, rows_count, h = 3, 30, 0.1
     random = random_constraint(rng, n)

@@ -137,7 +137,7 @@ def test_locked_rotor_follows_its_time_constant():
 
 @pytest.mark.parametrize("elastic", [False, True])
 def test_against_an_independent_solver(elastic):
-    """SciPy's solution of a salient machine in rotor coordinates is equal."""
+    """SciPy's solution of a salient machine in rotor coordinates agrees with the plant."""
     m = example("ipm-2kw2")
     coupling = {"J_load": 0.01, "stiffness": 200.0, "damping": 0.02} if elastic else {}
     mechanics = Mechanics(0.004, viscous=2e-3, fan=1e-4, **coupling)
@@ -302,7 +302,7 @@ def test_maximum_torque_per_ampere(name):
 
 
 def test_current_step_agrees_with_the_discrete_loop():
-    """With a locked rotor, every sample equals that of the closed loop's matrix."""
+    """With a locked rotor, every sample agrees with the closed loop's transition matrix."""
     motor = MACHINES["pmsm-2kw2"]
     d = drive(J=1e9, speed_bandwidth=10.0)
     control = d.control

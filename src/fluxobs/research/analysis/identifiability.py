@@ -120,7 +120,7 @@ def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parame
             direction[3 * n : 4 * n] = -constraint.Q2.T @ s
             columns.append(direction)
         if not constants.with_b:
-            # With Q3 = 0, this identity leaves the null space of Q2ᵀ.
+            # If Q3 = 0, the invisible s are the null space of Q2ᵀ.
             _, singular, vt = np.linalg.svd(constraint.Q2.T)
             for s in vt[singular <= 1e-9 * max(singular[0], 1e-300)]:
                 direction = np.zeros(size)

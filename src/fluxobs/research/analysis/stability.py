@@ -1,9 +1,9 @@
 """Stability of an adaptive law along a trajectory: the open question of the paper's Remark 7.
 
-The error of Proposition 2 obeys ``χ' = (G_a - Γ Ψ Ψᵀ) χ``. On a periodic trajectory, its Floquet
-multipliers decide stability. On any other trajectory, its largest Lyapunov exponent decides, which
-a record of finite length only approximates. Multipliers and exponent are returned with their
-uncertainty.
+The error of Proposition 2 obeys ``χ' = (G_a - Γ Ψ Ψᵀ) χ``. On a periodic trajectory, the error's
+Floquet multipliers decide stability. On any other trajectory, the error's largest Lyapunov exponent
+decides; a record of finite length only approximates this exponent. Multipliers and exponent are
+returned with their uncertainty.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..regression.laws.base import positive_definite
 from ..regression.periodic import between
 from .flow import NODES, flow_growth, flow_joined, flow_product, flow_steps
 
-#: Relative change of an exponent at which doubling the steps ends; largest number of doublings.
+#: Relative change of an exponent below which the step doubling ends; largest number of doublings.
 CONVERGED, DOUBLINGS = 1e-5, 6
 #: Number of times that neighbouring steps are multiplied in pairs before the growth is computed.
 _JOINED = 4
@@ -47,12 +47,12 @@ class GainStudy(NamedTuple):
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Where the exponent is below zero by more than its uncertainty."""
+        """True where the exponent is below zero by more than its uncertainty."""
         return self.exponent < -self.uncertainty
 
     @property
     def unstable(self) -> NDArray[np.bool_]:
-        """Where the exponent is above zero by more than its uncertainty."""
+        """True where the exponent is above zero by more than its uncertainty."""
         return self.exponent > self.uncertainty
 
     def multipliers(self, period: float) -> Array:
@@ -147,12 +147,12 @@ def over_gain(
     Gamma : number, vector or matrix
         Γ, the shape of the gain.
     periodic : bool
-        Compute Floquet multipliers if true, else the largest Lyapunov exponent.
+        If true, compute Floquet multipliers, else the largest Lyapunov exponent.
 
     Raises
     ------
     ModelError
-        Ψ is not finite, has the wrong width, or does not close although `periodic` is set.
+        If Ψ is not finite, has the wrong width, or does not close although `periodic` is set.
     """
     regressor = np.asarray(psi, float)
     N, root = balanced_error_system(constants, Gamma)

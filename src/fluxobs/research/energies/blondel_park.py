@@ -2,8 +2,8 @@
 
 The paper asks how this property relates to Assumption 1. A machine is transformable if each
 coordinate q_k has a constant skew U_k with ``H_E(λ, q) = H_0(e^{-U q} λ) + V(q)``. For linear
-magnetics this means ``L′(q) = U L(q) - L(q) U`` and ``μ′(q) = U μ(q)``. The derivative with respect
-to q_k holds for any energy::
+magnetics, transformability means ``L′(q) = U L(q) - L(q) U`` and ``μ′(q) = U μ(q)``. For any
+energy, the derivative with respect to q_k gives::
 
     ∂i/∂q_k + (∂i/∂λ) U_k λ - U_k i = 0        for all (λ, q)
 
@@ -51,8 +51,8 @@ def blondel_park(
     i = np.asarray(jax.vmap(system.current)(flux, position))
     by_flux = np.asarray(jax.vmap(jax.jacfwd(system.current, 0))(flux, position))
     by_position = np.asarray(jax.vmap(jax.jacfwd(system.current, 1))(flux, position))
-    # Balance ports of different size by the rms of their currents; the rms of ∂i/∂q may be zero.
-    # Weigh rows, not columns: a skew U stays skew only under a common scale.
+    # Balance ports of different size by the rms of their currents; that of ∂i/∂q may be zero. Weigh
+    # rows, not columns: a skew U stays skew only under a common scale.
     size = np.sqrt(np.mean(i**2, axis=0))
     weight = 1 / np.maximum(size, max(1e-9 * size.max(), 1e-300))
     pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]

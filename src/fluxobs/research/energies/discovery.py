@@ -109,7 +109,8 @@ class Discovery:
         Linear relations between flux and current (a winding plane without magnets). They are
         removed first, because every product with a linear relation would be a quadratic relation.
     higher : tuple of Polynomial
-        Relations of degree 3 or 4 that do not follow from quadratic relations; only on request.
+        Relations of degree 3 or 4 that do not follow from quadratic relations; found only on
+        request.
     approximate : tuple of Approximate
         Relations that hold, or may hold, only approximately, with their sizes.
     warning : str
@@ -117,13 +118,13 @@ class Discovery:
     margin : float
         Factor by which the singular values fall at the edge of the null space; a measure of
         certainty. If there is a null space, the factor is at least 1e10 and usually around 1e13.
-        Otherwise it is the largest factor between neighbours, which was too small.
+        Otherwise it is the largest factor between neighbouring values, which is too small.
     smallest : float
         Smallest singular value over the largest; without relations, the distance from a relation.
     residual : float
         Largest relative residual on states not used to find the relations.
     invisible : (2n, k) ndarray
-        Offsets of (λ, i) that no quadratic relation can see.
+        Offsets of (λ, i) that change no quadratic relation.
     """
 
     name: str
@@ -200,7 +201,7 @@ def check_constraint(
         if not residual[at] <= tolerance:
             which = f"relation {number + 1}" if len(relations) > 1 else "the relation"
             raise ModelError(
-                f"{system.name}: {which} does not hold: residual {residual[at]:.3g} of its terms "
+                f"{system.name}: {which} does not hold: relative residual {residual[at]:.3g} "
                 f"at flux {flux[at].round(6).tolist()}, position {position[at].round(6).tolist()}; "
                 f"median {np.median(residual):.3g} over {samples} random states"
             )
@@ -235,7 +236,7 @@ def discover_constraint(
     Raises
     ------
     ModelError
-        Invalid degree or ports.
+        If degree or ports are invalid.
     """
     if degree not in (2, 3, 4):
         raise ModelError(f"degree must be 2, 3 or 4, got {degree}")
@@ -299,8 +300,8 @@ def discover_constraint(
     if residual > HELD_OUT:
         raise ModelError(
             f"{system.name}: a relation fits the states on which it was found, but fails on "
-            f"others (residual {residual:.1g} of its terms): the scales are bad; set flux_range "
-            f"and position_range to the operating range of the machine"
+            f"others (relative residual {residual:.1g}): the states are badly scaled; set "
+            f"flux_range and position_range to the operating range of the machine"
         )
     invisible = invisible_offsets(quadratic) if quadratic else np.eye(2 * n)
     return Discovery(

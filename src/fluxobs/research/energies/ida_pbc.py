@@ -24,11 +24,12 @@ class IdaPbc(eqx.Module):
     ----------
     machine : MagLev2DOF
     alpha, beta, R_a, G : float
-        α > 0 > β, R_a > 0, G > 0.
+        Conditions: α > 0 > β, R_a > 0, G > 0.
     flux_reference : callable
-        t → φ_2* [Wb], >= 0. At φ_2* = 0, the shaped energy has no minimum and the loop is unstable.
+        Function t → φ_2* [Wb], >= 0. At φ_2* = 0, the shaped energy has no minimum and the loop is
+        unstable.
     position_reference : callable
-        t → q* [m].
+        Function t → q* [m].
     form : {"corrected", "printed"}
         "printed" uses the paper's third term of z̃₂, D (q - q*) (erratum 8).
 

@@ -24,7 +24,7 @@ Control = Callable[[Any, State], jax.Array]
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples of a simulation; flux and position between them are cubic (Hermite).
+    """Samples of a simulation; between samples, flux and position are cubic (Hermite).
 
     The cubic is also a trajectory: its currents come from the energies, so every relation holds
     exactly between samples as well.
@@ -34,7 +34,7 @@ class Trajectory:
     t : (rows,) ndarray
         Uniform times [s].
     flux, flux_rate, current : (rows, n_E) ndarray
-        [Wb], [V], [A].
+        In [Wb], [V] and [A].
     position, velocity, momentum : (rows, n_M) ndarray
     voltage : (rows, m) ndarray
         Control voltage at the samples [V].

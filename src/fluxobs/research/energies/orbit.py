@@ -48,7 +48,7 @@ def periodic_orbit(
     Parameters
     ----------
     system, control
-        As for :func:`integrate`; `control` must have this period.
+        Arguments of :func:`integrate`; `control` must have this period.
     period : float
         [s].
     samples : int

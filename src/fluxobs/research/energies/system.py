@@ -1,6 +1,6 @@
 """Electromechanical systems, defined by their energies, whose derivatives give the dynamics.
 
-``H_E(λ, q)`` and ``H_M(q, p)`` define everything (equation (1) of the paper)::
+``H_E(λ, q)`` and ``H_M(q, p)`` define the dynamics (equation (1) of the paper)::
 
     i = ∇_λ H_E        λ̇ = -R i + B u
     q̇ = ∇_p H_M        ṗ = -∇_q H_E - ∇_q H_M - R_M q̇ + F_L

@@ -42,9 +42,9 @@ from .section_v import levitation_observer
 SUBSTEPS = 20
 #: Duration of uninterrupted validity after which the estimate is used. Unit of the rig.
 TRUST = 1.0
-#: Standard deviation over flux below which the loop uses an estimate that is not yet valid.
+#: Relative standard deviation below which the loop uses an estimate that is not yet valid.
 CERTAIN = 0.05
-#: Displacement over the gap above which the body is lost.
+#: Displacement, divided by the gap, above which the body is lost.
 LOST = 0.98
 
 
@@ -107,10 +107,10 @@ class LoopResult:
     lost : float or None
         Time at which the body touched a pole; None if it never touched.
     before, after : float
-        Rms distance from the reference over the gap: between hand-over and jump, and at the end.
-        inf if the body was lost earlier.
+        Rms distance from the reference, divided by the gap: between hand-over and jump, and at the
+        end. inf if the body was lost earlier.
     peak : float
-        Largest displacement over the gap after the jump.
+        Largest displacement after the jump, divided by the gap.
     flux_error : float
         Rms flux error at the end, divided by the flux.
     valid : float
@@ -394,7 +394,7 @@ def rigs() -> tuple[Rig, ...]:
 
 
 def study(rig: Rig) -> dict[str, LoopResult]:
-    """Run all observers on a rig; return observer → result."""
+    """Run all observers on a rig; return a mapping from observer to result."""
     h = SAMPLE * rig.unit
     nominal = nominal_record(rig, h)
     return {

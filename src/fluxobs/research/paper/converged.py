@@ -19,7 +19,7 @@ from ..regression import Parametrisation, Regressors
 from ..regression.laws.base import positive_definite
 from .levitation import FilteredRecord, LevitationRecord
 
-#: Largest change of an error, as a share of the largest error, at which doubling the substeps ends;
+#: Change of an error, as a share of the largest error, below which the doubling of substeps ends;
 #: largest number of substeps.
 CONVERGED, MAX_SUBSTEPS = 1e-3, 16
 
@@ -55,10 +55,10 @@ def converged_run(
     constants: Parametrisation | None,
     skip: int,
 ) -> ConvergedRun:
-    """Return the error of Proposition 2 (1 if `constants` is None) that starts from zero estimates.
+    """Return the error of Proposition 2 (or 1 if `constants` is None), starting at zero estimates.
 
     The regression is used from row `skip` on, as in :func:`fluxobs.research.regression.laws.run`.
-    Before, the estimate integrates the volt-seconds.
+    Until then, the estimate integrates the volt-seconds.
     """
     n = record.flux.shape[1]
     if constants is None:

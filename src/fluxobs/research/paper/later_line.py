@@ -62,7 +62,7 @@ class Case:
 
 
 def cases() -> list[Case]:
-    """Return S1, S3 (weakly excited) and S5; S5 with noise, moving offsets or early rest."""
+    """Return S1, S3 (weakly excited), S5, and S5 with noise, moving offsets and early rest."""
 
     def case(title: str, record: LevitationRecord) -> Case:
         rows, v = thinned(record, LS_SAMPLE_TIME)

@@ -99,7 +99,7 @@ class LevitationScenario:
 
     @property
     def period(self) -> float:
-        """Common period of the references [s]: that of 5 rad/s, or of 1 rad/s if modulated."""
+        """Common period of the references [s]: 2π/5, or 2π if the flux is modulated."""
         return 2 * np.pi / (1.0 if self.depth else 5.0)
 
 
@@ -268,7 +268,7 @@ def measured(
 ) -> LevitationRecord:
     """Measure a trajectory with the paper's biases multiplied by `factor`.
 
-    `swing` is the share of its size by which every bias moves at :data:`OFFSET_SPEED`.
+    Every bias moves by `swing` times its size at :data:`OFFSET_SPEED`.
     """
     t, h = trajectory.t, trajectory.h
     moving = (factor * (1 + swing * np.sin(OFFSET_SPEED * (t - h / 2))))[:, None]
@@ -292,7 +292,7 @@ def measured(
 
 
 class FilteredRecord(NamedTuple):
-    """Regression at every row, and at the jump with the current just after the jump.
+    """Regression at every row; at the jump, also with the current just after the jump.
 
     The row at the jump itself has the biases before the jump.
     """
@@ -302,7 +302,7 @@ class FilteredRecord(NamedTuple):
 
 
 def filtered(record: LevitationRecord) -> tuple[FilteredRecord, FilteredRecord]:
-    """Return (corrected regression, regression with the printed Φ_λ) at every row, continuous."""
+    """Return the continuous regressions (corrected, with printed Φ_λ) at every row."""
     c = np.array([record.machine.c_1, record.machine.c_2])
     _, rate, current = record.trajectory.inside(PLACES)
     # Each interval has its own bias, which jumps between two intervals.

@@ -43,7 +43,7 @@ class ScenarioResult:
     courses : dict
         Observer → error course.
     t, position, reference, flux : ndarray
-        The first 5 s, thinned.
+        Thinned signals of the first 5 s.
     tracking : float
         Rms error of the position against the reference [m].
     largest_flux : float

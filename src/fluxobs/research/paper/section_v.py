@@ -37,7 +37,7 @@ from .levitation import (
 )
 from .pmsm import SERVO_CORNER, MotorRecord
 
-#: Start of the regression's use. Unit 1/ν; the filters' transient has decayed to e^{-15}.
+#: Time from which the regression is used. Unit 1/ν; the filters' transient is then e^{-15}.
 RUN_IN = 15.0
 #: Rates of the balanced gains on the levitation [1/s].
 FLUX_RATE, CONSTANTS_RATE = 8.0, 2.0
@@ -82,9 +82,9 @@ class ErrorCourse:
         return value if np.isfinite(value) else float("inf")
 
     def first_below(self, level: float, since: float) -> float:
-        """Return how long after `since` the error is always below `level`; inf if never.
+        """Return the delay after `since` from which the error stays below `level`; inf if never.
 
-        Only rows until the next jump or the end count: `since` plus half the record.
+        Only half a record after `since` counts: until the next jump or the end.
         """
         inside = (self.t >= since) & (self.t <= since + self.t[-1] / 2 - 1e-9)
         late = np.flatnonzero(~(self.flux[inside] < level))
@@ -240,7 +240,7 @@ def levitation_observer(
     """
     size = machine.k_2 * bias_current / machine.g
     current_noise, voltage_noise = noise
-    # Over the memory, voltage noise integrates into w, in addition to the current noise.
+    # Voltage noise accumulates in w over the memory, in addition to the current noise.
     walk = 2 * machine.g * size * voltage_noise / machine.N * np.sqrt(h * memory)
     sensed = float(np.hypot(machine.constraint_noise(size, current_noise), walk))
     return ImmersionObserver(

@@ -31,7 +31,7 @@ SCALAR_GAINS = tuple(10.0**k for k in range(-5, 7))
 #: Units of the drift, relative to the unit in which its regressor has rms one. The last unit is one
 #: flux unit per second.
 UNITS = (1.0, 0.5, 0.3, 0.155)
-#: Time omitted at the start of each span. Unit s, transients of the filters and slow poles.
+#: Time omitted at the start of each span. Unit s; filters and slow poles have transients.
 AFTER_START = 2.0
 
 
@@ -99,7 +99,7 @@ def growth(record: LevitationRecord, rows: Regressors) -> Growth:
 
 @dataclass(frozen=True, eq=False)
 class ScalarGain:
-    """S5 with a scalar gain in Proposition 2, in units that give unit regressors.
+    """S5 with a scalar gain in Proposition 2, in units in which every regressor has rms one.
 
     Attributes
     ----------
@@ -108,8 +108,8 @@ class ScalarGain:
         persistently exciting.
     gains : (k,) ndarray
     multipliers : dict
-        Unit of the drift over the unit in which its regressor has rms one → largest |Floquet
-        multiplier| for each gain before the jump. The proposition does not depend on units.
+        Relative unit of the drift (1: its regressor has rms one) → largest |Floquet multiplier| for
+        each gain before the jump. The proposition does not depend on units.
     """
 
     alpha: float

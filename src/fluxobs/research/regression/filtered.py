@@ -44,7 +44,7 @@ class FilteredRegression(eqx.Module):
     ----------
     constraint : QuadraticConstraint
     corner : float
-        ν [rad/s], > 0. The regression holds up to a transient e^{-νt}(1 + νt).
+        ν [rad/s], > 0. The regression holds except for a transient e^{-νt}(1 + νt).
     form : {"corrected", "printed"}
     """
 
@@ -185,7 +185,7 @@ def filter_record(
     Returns
     -------
     Filters
-        With leading axis rows.
+        The leading axis is rows.
     """
     z = regression.corner * h
     y, i = np.asarray(y_m, float), np.asarray(current, float)

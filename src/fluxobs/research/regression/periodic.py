@@ -53,7 +53,7 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
     Raises
     ------
     ModelError
-        The samples are too few to resolve a signal.
+        If the samples are too few to resolve a signal.
     """
     y_m, i = np.asarray(orbit.y_m, float), np.asarray(orbit.current, float)
     regression = FilteredRegression(constraint, corner)

@@ -17,7 +17,7 @@ from ...simulation.precision import real
 
 class Regressors(NamedTuple):
     """``y = Φ_fluxᵀλ + Φ_driftᵀθ + Φ_aᵀθ_a + Φ_bᵀθ_b + φ_c θᵀQ1θ`` with θ_a = -Q2 δ_i,
-    θ_b = -2 Q3 δ_i. In a record the leading axis is time.
+    θ_b = -2 Q3 δ_i. In a record, the leading axis is time.
     """
 
     y: jax.Array  # ()
@@ -82,7 +82,7 @@ class Parametrisation(eqx.Module):
         return len(self.Q1)
 
     def regressor(self, row: Regressors) -> jax.Array:
-        """Return Φ_θ of one row, (n_θ,)."""
+        """Return Φ_θ (n_θ,) of one row."""
         blocks = [row.Phi_drift]
         if self.kind == "printed":
             blocks.append(row.Phi_a)
@@ -112,16 +112,16 @@ class Parametrisation(eqx.Module):
 
     @eqx.filter_jit
     def record(self, rows: Regressors) -> jax.Array:
-        """Return Φ_θ of all rows, (rows, n_θ)."""
+        """Return Φ_θ (rows, n_θ) of all rows."""
         return jax.vmap(self.regressor)(rows)
 
     def psi(self, row: Regressors) -> jax.Array:
-        """Return Ψ = (Φ_λ, Φ_θ) of one row, (n + n_θ,)."""
+        """Return Ψ = (Φ_λ, Φ_θ) of one row as an array (n + n_θ,)."""
         return jnp.concatenate([row.Phi_flux, self.regressor(row)])
 
     @eqx.filter_jit
     def psi_record(self, rows: Regressors) -> jax.Array:
-        """Return Ψ of all rows, (rows, n + n_θ)."""
+        """Return Ψ (rows, n + n_θ) of all rows."""
         return jax.vmap(self.psi)(rows)
 
     def __len__(self) -> int:

@@ -134,7 +134,7 @@ class SampledRegression(eqx.Module):
     def run(
         self, volt_seconds: Any, current: Any
     ) -> tuple[Regressors, tuple[jax.Array, jax.Array]]:
-        """Process a record: volt-seconds (rows, n) of the intervals before the rows; currents."""
+        """Process the currents of a record and the volt-seconds before each row, both (rows, n)."""
         v, i = real("volt_seconds", volt_seconds), real("current", current)
         if v.shape != i.shape or v.ndim != 2 or v.shape[1] != len(self.E):
             raise ModelError(

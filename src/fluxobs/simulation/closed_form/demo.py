@@ -27,15 +27,15 @@ from .signals import driven, inverter_loss, vectors
 #: The shipped log.
 LOG = Path(__file__).with_name("demo_log.csv")
 MACHINE = "servo-400w"
-SAMPLE_TIME = 2e-4  # s
-DURATION = 2.0  # s
-CURRENT_OFFSET = (0.15, -0.10)  # A, about 1 % of rated current
-VOLTAGE_OFFSET = (-0.12, 0.08)  # V
-CURRENT_NOISE = 0.02  # A
-CURRENT_STEP = 0.01  # A, step of a 12-bit converter over ±20 A
-VOLTAGE_STEP = 0.005  # V, resolution of the modulator
-INVERTER_VOLTAGE = 0.15  # V per phase, remainder of dead time and device drops after compensation
-KNEE = 0.2  # A, the sign of a phase current is tanh(i / KNEE)
+SAMPLE_TIME = 2e-4  # In seconds.
+DURATION = 2.0  # In seconds.
+CURRENT_OFFSET = (0.15, -0.10)  # In ampere, about 1 % of the rated current.
+VOLTAGE_OFFSET = (-0.12, 0.08)  # In volt.
+CURRENT_NOISE = 0.02  # In ampere.
+CURRENT_STEP = 0.01  # In ampere, the step of a 12-bit converter over ±20 A.
+VOLTAGE_STEP = 0.005  # In volt, the resolution of the modulator.
+INVERTER_VOLTAGE = 0.15  # In volt per phase, after dead-time compensation.
+KNEE = 0.2  # In ampere; the sign of a phase current is tanh(i / KNEE).
 SEED = 20261121
 
 

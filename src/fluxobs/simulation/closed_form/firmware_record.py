@@ -20,7 +20,7 @@ from .signals import driven, vectors
 #: Samples per electrical period at full speed: PERIOD. More if a sample is shorter than USUAL [s],
 #: fewer (at least FASTEST) if the EMF must be larger.
 PERIOD, FASTEST, USUAL = 36, 12, 1e-4
-#: EMF over the voltage error of resistance and inverter. A position is valid from half this ratio.
+#: EMF over the voltage error of resistance and inverter. A position is valid above half this ratio.
 CLEAR = 4.0
 #: (row, share of full speed), linear between the rows. The stop is so long that an observer with a
 #: memory of 50 samples integrates the flux during the stop.
@@ -40,14 +40,14 @@ PARTS = 16
 
 @dataclass(frozen=True)
 class FirmwareRecord:
-    """Rows as an interrupt gets them: a current and the voltage of the interval before.
+    """Rows as an interrupt gets them: a current and the voltage of the previous interval.
 
     Single precision represents all values exactly.
     """
 
-    voltage: Array  # (rows, 2) [V]
-    current: Array  # (rows, 2) [A]
-    theta_e: Array  # (rows,) true angle [rad]
+    voltage: Array  # Shape (rows, 2) [V].
+    current: Array  # Shape (rows, 2) [A].
+    theta_e: Array  # True angle (rows,) [rad].
 
 
 def firmware_record(
@@ -67,8 +67,8 @@ def firmware_record(
     assert rated is not None
     longer = max(0, round(MEMORIES * (observer.memory / h - MEMORY)))
     rows = np.arange((ROWS + longer) * PARTS + 1) / PARTS
-    k = rows - np.clip(rows - CRUISE_ROW, 0, longer)  # row of the record without prolongation
-    emf = CLEAR * unsure / observer.flux_base  # expressed as a speed [rad/s]
+    k = rows - np.clip(rows - CRUISE_ROW, 0, longer)  # Row of the record without prolongation.
+    emf = CLEAR * unsure / observer.flux_base  # Expressed as a speed [rad/s].
     longest = PERIOD * max(1.0, USUAL / h)
     period = float(np.clip(2 * np.pi / max(emf * h, 1e-9), FASTEST, longest))
     knots, shares = zip(*SPEED, strict=True)
@@ -85,7 +85,7 @@ def firmware_record(
     measured = np.round(vectors(true.current[1:] + bias) / step) * step
     measured[ABSURD_ROW + longer] = 1e6 * rated
     measured[MISSING_CURRENT_ROW + longer] = np.nan
-    # A spike that turns the position vector by one radian without changing its length.
+    # This spike turns the position vector by one radian without changing its length.
     L = machine.position_inductance
     x = (true.flux - L * true.current)[SPIKE_ROW + longer + 1]
     measured[SPIKE_ROW + longer] += vectors(x * (1 - np.exp(1j)) / L)

@@ -30,9 +30,9 @@ class Signals:
     sample_time : float
         [s].
     theta_e : (rows + 1,) ndarray
-        Electrical angle, unwrapped [rad].
+        Unwrapped electrical angle [rad].
     flux, current : (rows + 1,) complex ndarray
-        [Wb], [A].
+        Values at the instants [Wb], [A].
     mean_current, voltage : (rows,) complex ndarray
         Means over the intervals [A], [V], with
         ``voltage = R_s mean_current + Δflux / sample_time``.

@@ -15,9 +15,9 @@ from ..precision import not_negative, positive, real
 from .motor import LEAST_FLUX, CageMotor, Motor
 from .vectors import ROOT3, length, limit
 
-#: For a cage: bandwidth of the rotor flux [rad/s], 1.6 times its open-loop value; largest share of
-#: the voltage for the EMF (leakage and load steps need the rest); largest share of the current
-#: limit for i_d.
+#: Bandwidth of a cage's rotor flux [rad/s], 1.6 times its open-loop value. Largest share of the
+#: voltage for the EMF; leakage and load steps need the rest. Largest share of the current limit for
+#: i_d.
 FLUX_BANDWIDTH, FLUX_VOLTAGE, FLUX_CURRENT = 15.0, 0.8, 0.8
 
 
@@ -145,7 +145,7 @@ class Control(eqx.Module):
         """
         k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
         largest = self.current_limit
-        # This i_q is exact for surface and reluctance machines, and a start for interior magnets.
+        # This i_q is exact for surface and reluctance machines, a first guess for interior magnets.
         active_flux_i_q = torque / (1.5 * self.motor.n_p)
         root = jnp.sqrt(psi**2 + 4 * jnp.abs(k * active_flux_i_q))
         i_q = 2 * active_flux_i_q / jnp.maximum(psi + root, 1e-300)
@@ -157,7 +157,7 @@ class Control(eqx.Module):
             i_d = jnp.maximum(i_d, self.i_d_min)
             active = psi + k * i_d
             i_q = (i_q + active_flux_i_q / jnp.where(active > 0, active, 1.0)) / 2
-        # Zero flux gives no torque, so zero is the limit of weakening.
+        # Zero flux gives no torque, so weakening ends at zero flux.
         floor = jnp.where(psi > 0, -psi / self.motor.L_d, self.i_d_min)
         i_d = jnp.clip(jnp.maximum(i_d - weakening, floor), -largest, largest)
         i_q = active_flux_i_q / jnp.maximum(psi + k * i_d, 1e-300)

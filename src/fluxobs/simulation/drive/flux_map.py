@@ -27,10 +27,10 @@ class Map(eqx.Module):
     decay: Array
     still: Array
     ripple: Array
-    least: Array  # (2,) smallest i_d and i_q [A]
-    most: Array  # (2,) largest i_d and i_q [A]
-    over: Array  # (2,) intervals per ampere
-    coefficients: Array  # (d, q, 2)
+    least: Array  # Smallest i_d and i_q (2,) [A].
+    most: Array  # Largest i_d and i_q (2,) [A].
+    over: Array  # Intervals per ampere (2,).
+    coefficients: Array  # Shape (d, q, 2).
 
     @classmethod
     def of(cls, flux_map: FluxMap) -> Self:

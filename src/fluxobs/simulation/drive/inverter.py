@@ -71,7 +71,7 @@ class Inverter(eqx.Module):
     def switched(
         self, duties: Array, dc_link: Array, current: Array, period: Array, part: Array
     ) -> Array:
-        """Return the mean voltage [V] over interval `part` (of `switching`), with exact edges."""
+        """Return the mean voltage [V] over interval `part`, with exact switching edges."""
         i = phases(current)
         outwards = i > 0
         # Dead time delays the upper switch if the current flows out, else the lower switch.

@@ -70,7 +70,7 @@ class LoopObserver(eqx.Module):
 
     @classmethod
     def of(cls, observer: LeastSquaresObserver | AdaptiveObserver) -> Self:
-        """Return the observer for the loop, in its own precision; most firmware has "single"."""
+        """Return the observer for the loop, in its own precision; most firmware uses "single"."""
         plain = observer.plain if isinstance(observer, AdaptiveObserver) else observer
         return cls(
             parameters=jnp.asarray(observer._core.image()),

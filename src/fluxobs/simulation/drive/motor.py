@@ -138,7 +138,7 @@ class MappedMotor(Motor):
         smallest = min(float(by_d.real.min()), float(by_q.imag.min()))
         if not smallest > 0:
             raise ModelError(
-                f"the flux map has an inductance of {smallest:.3g} H in its range, must be positive"
+                f"the flux map's smallest inductance in its range is {smallest:.3g} H, not positive"
             )
         return [float(self.R_s) / smallest]
 
@@ -292,11 +292,11 @@ class Mechanics(eqx.Module):
 class PlantState(NamedTuple):
     """State of motor and mechanics."""
 
-    flux: Array  # linkage [Wb]
-    rotor: Array  # rotor's vector: direction exp(jθ_e), or flux of a cage [Wb]
-    speed: Array  # mechanical [rad/s]
-    load_speed: Array  # speed behind an elastic coupling [rad/s]
-    twist: Array  # of the coupling [rad]
+    flux: Array  # Flux linkage [Wb].
+    rotor: Array  # Rotor's vector: direction exp(jθ_e), or rotor flux of a cage [Wb].
+    speed: Array  # Mechanical speed [rad/s].
+    load_speed: Array  # Speed behind an elastic coupling [rad/s].
+    twist: Array  # Twist of the coupling [rad].
 
 
 class Plant(eqx.Module):

@@ -21,13 +21,13 @@ STARTING, RUNNING = 0, 1
 class SensorlessState(NamedTuple):
     """Mode, frame and timers of a drive without an encoder."""
 
-    mode: Array  # STARTING or RUNNING
-    direction: Array  # frame of current control
-    speed_e: Array  # speed of the frame [rad/s electrical]
-    ready_time: Array  # time for which the observer has been ready [s]
-    invalid_time: Array  # time for which the position has been invalid [s]
-    run_time: Array  # time since the start [s]
-    transient: Array  # rest of the current step at the last hand-over [A, in the frame]
+    mode: Array  # STARTING or RUNNING.
+    direction: Array  # Frame of the current control.
+    speed_e: Array  # Speed of the frame [rad/s electrical].
+    ready_time: Array  # Time for which the observer has been ready [s].
+    invalid_time: Array  # Time for which the position has been invalid [s].
+    run_time: Array  # Time since the start [s].
+    transient: Array  # Rest of the current step at the last hand-over [A, in the frame].
 
 
 class Sensorless(eqx.Module):
@@ -37,8 +37,8 @@ class Sensorless(eqx.Module):
     the reference speed, but at most at `speed`. The drive then uses the observer's angle if the
     observer's position has been valid for `hold` seconds with a standard deviation below `ready`
     and the reference is not zero. If the position becomes invalid, for example near zero speed, the
-    drive continues for `ride` seconds. Later, or if the standard deviation reaches `lost`, the
-    position counts as lost and the drive returns to I/f at its present speed.
+    drive continues for `ride` seconds. After this time, or if the standard deviation reaches
+    `lost`, the position counts as lost and the drive returns to I/f at its present speed.
 
     Parameters
     ----------

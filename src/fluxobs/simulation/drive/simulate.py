@@ -108,18 +108,18 @@ class Trace(NamedTuple):
 
     current: Array
     measured_current: Array
-    voltage: Array  # commanded
-    true_voltage: Array  # mean over the interval
+    voltage: Array  # Commanded voltage.
+    true_voltage: Array  # Mean over the interval.
     flux: Array
     theta_e: Array
-    speed: Array  # mechanical [rad/s]
+    speed: Array  # Mechanical speed [rad/s].
     torque: Array
-    current_reference: Array  # rotor coordinates
+    current_reference: Array  # In rotor coordinates.
     mode: Array
     voltage_limited: Array
     current_limited: Array
     tripped: Array
-    reference: Array  # speed [rad/s]
+    reference: Array  # Speed reference [rad/s].
     reading: Reading | None
 
 
@@ -169,8 +169,8 @@ class _Loop(NamedTuple):
 
     plant: PlantState
     control: ControlState
-    acted: Array  # commanded voltage of the last interval
-    pending: Array  # commanded voltage computed last
+    acted: Array  # Commanded voltage of the last interval.
+    pending: Array  # Commanded voltage computed last.
     observer: Any
     sensorless: SensorlessState | None
     tripped: Array
@@ -230,9 +230,9 @@ def simulate_batch(
     Parameters
     ----------
     drives, courses, seeds
-        One drive, course and seed per lane. All drives need the same components (with or without
-        observer, elastic or rigid), the same number of switching intervals, and the same sample
-        time.
+        One drive, course and seed per lane (simulation). All drives need the same components (with
+        or without observer, elastic or rigid), the same number of switching intervals, and the same
+        sample time.
     keep : callable
         Function that returns the values to keep from a row of the trace. All values of 256 seconds
         at 8 kHz need half a gigabyte, so keep only the values you evaluate, and `row.tripped` to

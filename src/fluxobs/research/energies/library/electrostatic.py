@@ -1,4 +1,4 @@
-"""Electric-field dual: charge replaces flux, voltage current, and conductance resistance."""
+"""Electric-field dual: charge, voltage and conductance replace flux, current and resistance."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def differential_actuator(
     resistance : float
         Series resistance of each electrode [Ω].
     mass, damping, stiffness : float
-        [kg], [N s/m], [N/m].
+        In [kg], [N s/m] and [N/m].
     """
     k = EPSILON_0 * area
 

@@ -69,7 +69,7 @@ def maglev_as_printed(machine: MagLev2DOF) -> ElectromechanicalSystem:
     """The paper's equations (hmaglev) and (sysmaglev) exactly as printed, for erratum 8.
 
     The energy lacks the force constants c, and the input lacks 1/N: ``λ̇ = -R/(N c) i + u``. The
-    state is still called λ, but the controller uses it as the core flux, like the paper.
+    state is still called λ, but the controller uses it as the core flux, as in the paper.
     """
     c, k = np.array([machine.c_1, machine.c_2]), np.array([machine.k_1, machine.k_2])
     g, sign = machine.g, np.array([-1.0, 1.0])
@@ -98,7 +98,7 @@ def maglev_leakage(
 
 
 def maglev_biased(k: float = 1e-5, g: float = 1e-3, magnet: float = 0.8) -> ElectromechanicalSystem:
-    """Opposed coils with core magnets (in ampere); their relation has a linear term E."""
+    """Opposed coils with core magnets of `magnet` ampere; their relation has a linear term E."""
     return _coils(
         lambda q: jnp.array([k / (g - q[0]), k / (g + q[0])]),
         g,

@@ -22,7 +22,7 @@ from .. import Regressors
 
 
 class FluxObserver(Protocol):
-    """Observer with frozen parameters and explicit state."""
+    """Observer with constant parameters and explicit state."""
 
     def init(self) -> Any: ...
 

@@ -49,7 +49,7 @@ class GeneralisedPEBO(eqx.Module):
         Standard deviation of y times the root of its bandwidth.
     estimator : {"least-squares", "least-squares-drem"}
     forgetting : float
-        β [1/s]; 0 remembers everything.
+        β [1/s]; 0 means no forgetting.
     gamma : float
         Gain of the scalar gradients [1/s]; they converge at γ Δ².
 

@@ -114,7 +114,7 @@ class RepairedState(NamedTuple):
 
 
 class RepairedAdaptiveObserver(eqx.Module):
-    """Proposition 2 repaired, after Zhang's adaptive observer for time-varying systems::
+    """Repaired Proposition 2, based on Zhang's adaptive observer for time-varying systems::
 
         λ̂' = y_m + [I 0] θ̂ + Γ Φ_λ e + U θ̂'      e = y - Φ_λᵀ λ̂ - Φ_θᵀ θ̂
         U' = [I 0] - Γ Φ_λ (Φ_λᵀ U + Φ_θᵀ)       θ̂' = G Ω e,  Ω = Uᵀ Φ_λ + Φ_θ

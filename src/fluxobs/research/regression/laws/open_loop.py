@@ -55,7 +55,7 @@ class PEBO(eqx.Module):
         Number of ports.
     estimator : {"least-squares", "gradient"}
     Gamma : number, (n,) or (n, n)
-        Gain of the gradient; for least squares the initial inverse information.
+        Gain of the gradient estimator; for least squares, the initial inverse information.
 
     References
     ----------
