@@ -60,9 +60,7 @@ def robust_bound(
 def disturbance(
     rows: Regressors, constants: Parametrisation, Gamma: Any, drift: Any, current_bias: Any
 ) -> Array:
-    """Return ``b = -(θ - Γ Φ_λ Φ_θᵀ θ_all)`` (rows, n) [V] along a record; the paper prints no
-    minus.
-    """
+    """Return ``b = -(θ - Γ Φ_λ Φ_θᵀ θ_all)`` (rows, n) [V] along a record; the paper has a plus."""
     matrix = np.asarray(positive_definite("Gamma", Gamma, constants.n))
     theta = np.asarray(constants.constants(drift, current_bias))
     Phi_theta = np.asarray(constants.record(rows))

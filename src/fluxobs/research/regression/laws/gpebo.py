@@ -110,8 +110,7 @@ class GeneralisedPEBO(eqx.Module):
         xi, t = state.xi + volt_seconds, state.t + h
         phi = self._moved(self.constants.psi(row), t) * self.scale
         y = row.y - row.Phi_flux @ xi
-        # F <= I: without excitation, forgetting stops before the estimate is worse than at the
-        # start.
+        # F <= I: without excitation, forgetting ends before the estimate is worse than at first.
         uncertainty = jnp.minimum(1 / jnp.linalg.eigvalsh(state.M)[0], 1.0)
         fade = jnp.exp(-self.forgetting * (1 - uncertainty) * h)
         weight = h / self.noise**2
