@@ -34,7 +34,7 @@ def test_claims_show_the_numbers_of_their_observer():
     ratio = courses["robust, printed gain"]["end"] / courses["voltage model"]["end"]
     line = row(text, "Figure 2")
     assert f"error ratio {ratio:.3f}" in line
-    assert f"bounded, {courses['robust, balanced gain']['before']:.2g} rms" in line
+    assert f"bounded: {courses['robust, balanced gain']['before']:.2g} rms" in line
     for name, course in courses.items():
         if name != "adaptive, printed gain":
             assert f"{course['end']:.2g} after" not in row(text, "Figure 3"), name
