@@ -225,7 +225,7 @@ def test_bad_features(features, degree, message):
 
 
 def test_a_higher_relation_beside_a_quadratic_one():
-    """An affine pair and a choke with i = λ + λ³ have one relation each, without products."""
+    """An affine pair and a saturating choke, i = λ + λ³, have one relation each, no products."""
 
     def magnetic_energy(flux, position):
         L = 10e-3 + jnp.array([0.5, -0.5]) * position[0]

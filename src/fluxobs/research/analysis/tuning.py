@@ -63,7 +63,7 @@ def balanced_repaired(
     constants_rate: float,
     skip: int,
 ) -> RepairedAdaptiveObserver:
-    """Return the repaired observer with balanced Γ and G; ignore the first `skip` rows."""
+    """Return the repaired observer with balanced Γ and G; omit `skip` rows of transient."""
     Gamma: Any = balanced_gain(np.asarray(rows.Phi_flux)[skip:], flux_rate)
     omega = _omega(jnp.asarray(Gamma), rows, constants, h)
     G = balanced_gain(np.asarray(omega)[skip:], constants_rate)

@@ -33,7 +33,8 @@ class BlondelPark:
     U : (n_M, n_E, n_E) ndarray
         Best-fitting skew matrices [1/rad or 1/m].
     residual : (n_M,) ndarray
-        Rms of the identity over the rms of ``∂i/∂q_k``; about 1e-15 if the identity holds.
+        Rms of the identity over the rms of ``∂i/∂q_k``; about 1e-15 if the identity holds,
+        otherwise 0.1 … 1.
     """
 
     transformable: bool

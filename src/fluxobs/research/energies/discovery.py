@@ -18,7 +18,7 @@ from ...errors import ModelError
 from ...machines.model.constraint import QuadraticConstraint, invisible_offsets
 from .system import ElectromechanicalSystem
 
-#: Singular value, as a share of the largest, below which a relation can be exact.
+#: Singular value, as a share of the largest, below which a relation is exact (with :data:`GAP`).
 FLOOR = 1e-9
 #: Factor by which the singular values must fall at the edge of the null space.
 GAP = 1e10

@@ -34,7 +34,7 @@ VOLTAGE_OFFSET = (-0.12, 0.08)  # In volt.
 CURRENT_NOISE = 0.02  # In ampere.
 CURRENT_STEP = 0.01  # In ampere, the step of a 12-bit converter over ±20 A.
 VOLTAGE_STEP = 0.005  # In volt, the resolution of the modulator.
-INVERTER_VOLTAGE = 0.15  # In volt per phase, after dead-time compensation.
+INVERTER_VOLTAGE = 0.15  # In volt per phase; dead time and drops after compensation.
 KNEE = 0.2  # In ampere; the sign of a phase current is tanh(i / KNEE).
 SEED = 20261121
 

@@ -152,7 +152,7 @@ def doubly_fed(
 ) -> ElectromechanicalSystem:
     """Induction machine with ports (α_s, β_s, α_r, β_r); the rotor ports are in rotor axes.
 
-    For a cage machine, leave the rotor ports unmeasured.
+    Both windings have ports; for a cage machine, leave the rotor ports unmeasured.
     """
 
     def inductance(q: jax.Array) -> jax.Array:
