@@ -175,7 +175,7 @@ def test_without_jax_reproduce_says_what_to_install(tmp_path):
         [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True
     )
     assert done.returncode == 2
-    assert "jax not installed: this needs the extra, pip install 'fluxobs[design]'" in done.stderr
+    assert "jax not installed: install the extra with pip install 'fluxobs[design]'" in done.stderr
     assert not (tmp_path / "fluxobs-paper").exists()
 
 

@@ -20,19 +20,19 @@ def current_products(x):
 
 
 def cubic(flux, eta, i):
-    """λ1 i2 i3 + λ2 i1 i3 + λ3 i1 i2 = 3 L_0 i1 i2 i3: linear in λ."""
+    """Return the residual of λ1 i2 i3 + λ2 i1 i3 + λ3 i1 i2 = 3 L_0 i1 i2 i3, linear in λ."""
     pairs = jnp.stack(current_products(i))
     return (flux @ pairs - 3 * L_0 * jnp.prod(i))[None]
 
 
 def saturated(flux, eta, i):
-    """The cubic relation in z = -ln(1 - λ/ψ_s) instead of λ."""
+    """Return the residual of the cubic relation in z = -ln(1 - λ/ψ_s) instead of λ."""
     z = -jnp.log1p(-jnp.minimum(flux / PSI_S, 0.99))
     return (z @ jnp.stack(current_products(i)) - 3 * A * jnp.prod(i))[None]
 
 
 def record(system, size, seed=0, noise=0.0):
-    """Return fluxes of one sign as functions of time, currents from the energy, volt-seconds."""
+    """Return (fluxes of one sign over time, currents from the energy, volt-seconds)."""
     t = H * np.arange(ROWS)
     phase = 2 * np.pi * np.arange(3) / 3
     flux = size * (0.6 + 0.3 * np.sin(37 * t[:, None] + phase) + 0.08 * np.sin(91 * t)[:, None])
@@ -85,7 +85,7 @@ def test_a_saturated_machine_is_observed_in_linearising_variables():
 
 
 def test_standard_deviations_cover_the_errors_under_noise():
-    """Mean square of error over standard deviation, over ten noise seeds: about one."""
+    """Over ten noise seeds, the mean square of error over standard deviation is about one."""
     noise, squares = 0.02, []
     for seed in range(10):
         flux, i, v = record(switched_reluctance(L_0), 0.08, seed, noise)
@@ -96,7 +96,7 @@ def test_standard_deviations_cover_the_errors_under_noise():
 
 
 def test_noise_of_the_voltage_is_in_the_standard_deviation():
-    """White noise of σ volts a sample walks the flux by h σ; the standard deviation covers it."""
+    """Noise of σ volts per sample changes the flux by h σ; the standard deviation covers this."""
     sigma, squares = 5.0, []
     for seed in range(6):
         flux, i, v = record(switched_reluctance(L_0), 0.08, seed, 0.02)
@@ -109,7 +109,7 @@ def test_noise_of_the_voltage_is_in_the_standard_deviation():
 
 
 def test_a_moving_relation_estimates_its_moving_coefficient():
-    """Induction machine: |λ - L_σ i|² = η² with η' = -α η + R_R i_d, started at a wrong length."""
+    """The relation |λ - L_σ i|² = η², η' = -α η + R_R i_d starts at a wrong length η."""
     L_sigma, R_R, L_M = 0.01, 2.1, 0.22
     alpha = R_R / L_M
     t = H * np.arange(ROWS)
@@ -156,7 +156,7 @@ def test_a_moving_relation_estimates_its_moving_coefficient():
     np.testing.assert_allclose(estimates.drift[-1], drift, atol=0.02)
     assert estimates.moving_std.shape == (ROWS, 1)
     assert estimates.moving_std[0, 0] > 0.1 > 30 * estimates.moving_std[-1, 0] > 0
-    # With a constant length the error is as large as its variation.
+    # With a constant length, the error is as large as the variation of the length.
     assert np.abs(run(None).flux - pair(flux))[late].max() > 0.02
 
 

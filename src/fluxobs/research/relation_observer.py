@@ -1,13 +1,13 @@
 """Observer for any relation between flux and current: an extended Kalman filter.
 
 The immersion of the paper's quadratic relations is exact, but not every machine has such a
-relation. This observer takes any relation ``h(λ, η, i) = 0`` written in JAX and linearises it at
+relation. This observer accepts any relation ``h(λ, η, i) = 0`` written in JAX and linearises it at
 the estimate:
 
-* Relations linear in λ with coefficients in i (switched reluctance): the exact Kalman filter.
+* Relations linear in λ with coefficients in i (switched reluctance); the filter is then exact.
 * Relations in features such as ``-ln(1 - λ/ψ_s)`` (saturation), or of any degree.
-* Relations with moving coefficients: η has its own equation (the rotor flux of an induction machine
-  obeys ``η' = -α η + R_R i_d``).
+* Relations with moving coefficients η that have their own equation (the rotor flux of an induction
+  machine obeys ``η' = -α η + R_R i_d``).
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ class RelationObserver(eqx.Module):
     Parameters
     ----------
     relation : callable
-        ``h(flux (n,), eta (e,), current (n,))`` → residuals (r,), zero at the truth; in jax.numpy.
+        Function ``h(flux (n,), eta (e,), current (n,))`` → residuals (r,), written in jax.numpy.
+        The residuals are zero at the truth.
     n : int
         Number of ports.
     sample_time : float
@@ -74,28 +75,28 @@ class RelationObserver(eqx.Module):
     flux_prior, drift_prior : (n,) array_like
         Standard deviations at the start [Wb], [V].
     current_noise, voltage_noise : float
-        Standard deviation of a current [A] and of a mean voltage over a sample [V]. The slope of
+        Standard deviation of a current [A] and of the mean voltage over a sample [V]. The slope of
         the relations converts the current noise into the noise of the residuals.
     drift_walk : float
         Growth of the drift's standard deviation [V/√s]; 0 for constant offsets.
     start : (n,) array_like, optional
-        Flux at the start [Wb]; default zero. Nonlinear relations are linearised there.
+        Flux at the start [Wb]; default zero. Nonlinear relations are linearised at this flux.
     moving : (e,) array_like, optional
         η at the start; default empty.
     moving_prior : (e,) array_like, optional
         Standard deviation of η at the start.
     motion : callable, optional
-        ``η' = motion(flux, eta, current)``; default constant.
+        Function in ``η' = motion(flux, eta, current)``; by default, η is constant.
     floor : float
-        Standard deviation always added to the residuals, in their unit: the relation's own error.
-        Keeps the filter regular without noise.
+        Standard deviation of the relation's own error, in the unit of the residuals; it is always
+        added. It keeps the filter regular if there is no noise.
     iterations : int
-        Linearisations per sample; more than one for relations that bend within the prior.
+        Linearisations per sample; use more than one for relations that bend within the prior.
 
     Raises
     ------
     ModelError
-        A number is out of range, or the relation does not fit its arguments.
+        If a number is out of range or the relation does not fit its arguments.
     """
 
     relation: Relation
@@ -207,7 +208,7 @@ class RelationObserver(eqx.Module):
             return self.relation(x[:n], x[2 * n :], i)
 
         def update(there: jax.Array, _: Any) -> tuple[jax.Array, Any]:
-            """Linearise at `there`: a Gauss-Newton step on prediction and relation together."""
+            """Linearise at `there`; do a Gauss-Newton step on prediction and relation together."""
             H, by_current = jax.jacfwd(residual, (0, 1))(there, current)
             noise = self.current_noise**2 * by_current @ by_current.T
             noise = noise + self.floor**2 * jnp.eye(len(by_current))
@@ -224,7 +225,7 @@ class RelationObserver(eqx.Module):
         return after, passes[3][0]
 
     def run(self, volt_seconds: Any, current: Any) -> RelationEstimate:
-        """Run a record: volt-seconds of the interval ending at each row, currents; (rows, n)."""
+        """Process the currents of a record and the volt-seconds before each row, both (rows, n)."""
         v, i = real("volt_seconds", volt_seconds), real("current", current)
         if v.shape != i.shape or v.ndim != 2 or v.shape[1] != self.n:
             raise ModelError(

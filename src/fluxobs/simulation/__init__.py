@@ -1,1 +1,1 @@
-"""Simulated drives and closed-form signals: the truth against which observers are judged."""
+"""Simulated drives and closed-form signals, whose truth shows the errors of observers."""

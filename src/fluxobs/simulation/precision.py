@@ -1,6 +1,7 @@
-"""JAX in double precision; single-precision inputs are refused.
+"""JAX in double precision; inputs in single precision raise an error.
 
-Every module with JAX imports this one first. It needs the extra "design" (JAX, equinox, diffrax).
+Every module with JAX imports this module first. It needs the extra "design" (JAX, equinox,
+diffrax).
 """
 
 from __future__ import annotations
@@ -16,17 +17,17 @@ from ..errors import FluxobsError, ModelError
 _missing = [name for name in ("jax", "equinox", "diffrax") if find_spec(name) is None]
 if _missing:
     raise FluxobsError(
-        f"{', '.join(_missing)} not installed: this needs the extra, pip install 'fluxobs[design]'"
+        f"{', '.join(_missing)} not installed: install the extra with pip install 'fluxobs[design]'"
     )
 
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
-#: This XLA scheduler distributes even the smallest kernels of a loop over threads. A drive
-#: simulated sample by sample then takes up to 2.5 times as long, on twice the processors.
+#: XLA scheduler that distributes even the smallest kernels of a loop over threads. A drive
+#: simulated sample by sample then needs up to 2.5 times the time and twice the processors.
 _SCHEDULER = "--xla_cpu_enable_concurrency_optimized_scheduler"
-#: Versions of jaxlib with this flag: from the first, below the second. XLA aborts on unknown flags.
+#: First version of jaxlib with this flag; first version without it. XLA aborts on unknown flags.
 _SUPPORTED = ((0, 4, 36), (0, 11))
 
 
@@ -46,7 +47,7 @@ jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]
 
 
 def double(name: str, value: Any) -> jax.Array:
-    """Return an array of doubles, traced or not; raise ModelError for single precision."""
+    """Return an array of doubles, traced or not; raise ModelError if it has single precision."""
     dtype = getattr(value, "dtype", None)
     if dtype is not None and dtype in (jnp.float32, jnp.float16, jnp.bfloat16, jnp.complex64):
         raise ModelError(
@@ -57,15 +58,15 @@ def double(name: str, value: Any) -> jax.Array:
 
 
 def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Array:
-    """Return an array of doubles; raise ModelError on single precision, non-finite values or shape.
+    """Return an array of doubles; raise ModelError if precision, shape or a value is invalid.
 
-    Traced values are checked for precision and shape only.
+    Traced values are checked only for precision and shape.
     """
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
-        raise RuntimeError("jax_enable_x64 was switched off; fluxobs needs it")
+        raise RuntimeError("jax_enable_x64 is off, but fluxobs needs it: switch it on")
     array = double(name, value)
     if not isinstance(array, jax.core.Tracer):
-        # Check with NumPy: every new operation on a JAX array costs a compilation.
+        # Check with NumPy, because every new operation on a JAX array needs a compilation.
         finite = np.isfinite(np.asarray(array))
         if not finite.all():
             index = tuple(int(k) for k in np.argwhere(~finite)[0])
@@ -77,12 +78,12 @@ def real(name: str, value: Any, shape: tuple[int, ...] | None = None) -> jax.Arr
 
 
 def positive(name: str, value: Any, shape: tuple[int, ...] | None = ()) -> jax.Array:
-    """Return an array as :func:`real`; raise ModelError unless all values are above zero."""
+    """Return an array like :func:`real`; raise ModelError unless all values are above zero."""
     return _check_bound(name, value, shape, "positive", lambda array: array > 0)
 
 
 def not_negative(name: str, value: Any, shape: tuple[int, ...] | None = ()) -> jax.Array:
-    """Return an array as :func:`real`; raise ModelError if a value is negative."""
+    """Return an array like :func:`real`; raise ModelError if a value is negative."""
     return _check_bound(name, value, shape, "zero or positive", lambda array: array >= 0)
 
 

@@ -13,7 +13,7 @@ Place = Literal[0, 1, 2]
 
 
 def runge_kutta_step(rate: Callable[[State, Place], State], state: State, h: Any) -> State:
-    """Return the state after h, by order four; `rate` returns a state's derivative at a place."""
+    """Return the state after h; the order is four. `rate` returns the derivative at a place."""
 
     def advance(rates: State, step: Any) -> State:
         moved: State = jax.tree.map(lambda x, r: x + step * r, state, rates)

@@ -1,4 +1,4 @@
-"""Stability, excitation, identifiability and bounds, each against an independent result."""
+"""Stability, excitation, identifiability and bounds agree with independent results."""
 
 from functools import cache
 
@@ -57,7 +57,7 @@ def test_erratum_6_persistently_excited_and_unstable_at_every_gain():
 
 @pytest.mark.parametrize("gain", [0.01, 1.0, 100.0])
 def test_multipliers_against_an_ode_solver(gain):
-    """Multipliers by another library, from the regressor's Fourier series."""
+    """Another library gives these multipliers from the regressor's Fourier series."""
     psi = regressor()
     spectrum = np.fft.rfft(psi, axis=0)[:60] * 2 / len(psi)
     spectrum[0] /= 2
@@ -85,9 +85,9 @@ def test_the_repaired_law_converges_where_the_printed_one_diverges():
 
 
 def test_the_growth_of_the_printed_law_is_its_multiplier():
-    """Run for 30 periods by another integrator.
+    """Another integrator runs the law for 30 periods.
 
-    The multipliers are a pair, 6.854 ∠ ±46.3°: single periods differ, so compare the mean.
+    The multipliers are a pair, 6.854 ∠ ±46.3°, so single periods differ: compare the mean.
     """
     errors = paper_case.study().errors["printed, γ_a = 1"]
     assert (errors[-1] / errors[1]) ** (1 / 29) == pytest.approx(6.854, rel=5e-3)
@@ -99,7 +99,7 @@ def test_gram_of_a_sine():
     signal = np.stack([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)], axis=1)
     excited = excitation(signal, 1e-3, 1.0)
     np.testing.assert_allclose([excited.alpha, excited.ratio], [0.5, 1.0], rtol=1e-6)
-    # Too short a window sees only one direction; per-unit scaling scales the columns.
+    # A window that is too short sees only one direction; per-unit scaling scales the columns.
     table = persistency(signal, 1e-3, [0.05, 1.0])
     assert table[0][2] < 0.02 < table[1][2]
     scaled = excitation(signal, 1e-3, 1.0, scale=[2.0, 1.0])
@@ -109,7 +109,7 @@ def test_gram_of_a_sine():
 
 
 def rows_at_constant_speed(speed):
-    """PMSM at constant speed and current, voltage bias only, exact samples."""
+    """Return exact samples of a PMSM at constant speed and current, with only a voltage bias."""
     L, psi, h = 0.4, 1.0, 0.02
     k = np.arange(1500)
     angle = speed * h * k
@@ -124,7 +124,7 @@ def rows_at_constant_speed(speed):
 
 
 def test_constant_speed_is_not_exciting_but_observable():
-    """Rank 3 of 5 for Ψ; 5 of 5 for the observability Gramian, where the drift moves the flux."""
+    """Ψ has rank 3 of 5; the observability Gramian has rank 5, because the drift moves the flux."""
     rows, relation, h = rows_at_constant_speed(1.0)
     unknown = Parametrisation(relation, "voltage-bias", 1.0)
     psi = np.column_stack([rows.Phi_flux, unknown.record(rows)])
@@ -136,7 +136,7 @@ def test_constant_speed_is_not_exciting_but_observable():
 @pytest.mark.parametrize("kind", ["structured", "printed", "voltage-bias"])
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_constraint_and_record_agree_on_invisible_directions(name, kind):
-    """Predicted from the Hessian, found in the observability Gramian of an exciting record."""
+    """The Hessian predicts the directions that an exciting record's observability Gramian shows."""
     case = CASES[name]()
     corner = {"pmsm": 60.0, "synrm": 60.0, "maglev": 50.0, "three-port": 8.0}[name]
     h, n = 0.05 / corner, case.constraint.n
@@ -157,7 +157,7 @@ def test_constraint_and_record_agree_on_invisible_directions(name, kind):
 
 
 def test_erratum_7_printed_constants_are_violated_at_the_start():
-    """Φ constant, Γ φ² = 100, T = 0.01, b = 0: the intended m_r is 0.41, but |λ̃(0)| = |λ̃(0)|."""
+    """For constant Φ, Γ φ² = 100, T = 0.01, b = 0, the intended m_r is 0.41, but must be >= 1."""
     phi, Gamma, T = 1.0, 100.0, 0.01
     eta = decay_rate([[Gamma]], T, phi**2 * T, phi)
     printed = np.exp(eta * T) / eta * np.sqrt(Gamma) * phi
@@ -171,7 +171,7 @@ def test_erratum_7_printed_constants_are_violated_at_the_start():
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), spread=st.floats(1.0, 10.0))
 def test_the_corrected_bound_holds(seed, spread):
-    """Random regressors, gains and disturbances, simulated by exact steps."""
+    """The bound holds for random regressors, gains and disturbances, simulated with exact steps."""
     rng = np.random.default_rng(seed)
     h, count = 0.01, 2000
     phase = rng.uniform(0, 2 * np.pi, 3)
@@ -223,7 +223,7 @@ def test_bound_on_a_motor_record_contains_the_error():
 
 
 def test_the_disturbance_in_the_bound_drives_the_error():
-    """λ̃' = -Γ Φ Φᵀ λ̃ + b: b is the rate of the error while the estimate is exact."""
+    """In λ̃' = -Γ Φ Φᵀ λ̃ + b, b is the rate of the error while the estimate is exact."""
     record = servo(quick=True)
     at = len(record.t) // 4
     unknown = Parametrisation(record.constraint, "structured", 200.0)
@@ -237,7 +237,7 @@ def test_the_disturbance_in_the_bound_drives_the_error():
 
 
 def test_uniform_observability_of_the_immersion():
-    """The Gramian by explicit sum: each row is moved to the end by its own transitions."""
+    """The Gramian equals an explicit sum, in which each row's transitions move it to the end."""
     rng = np.random.default_rng(3)
     relation = example_orbit().constraint
     immersion = Immersion((relation,), ("drift",))

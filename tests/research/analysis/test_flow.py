@@ -1,4 +1,4 @@
-"""Integrator of gradient laws, and the exponents from it, against closed forms and SciPy."""
+"""The integrator of gradient laws and its exponents agree with closed forms and SciPy."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -31,7 +31,7 @@ def at_nodes(signal, start, h, steps):
 
 
 def test_states_against_another_solver_and_their_order():
-    """x' = N x + f + ψ (r - ψᵀx) with all terms; the error falls with the step's fifth power."""
+    """The equation has all terms; the error falls with the fifth power of the step."""
     rng = np.random.default_rng(0)
     N, A, f = 0.3 * rng.standard_normal((4, 4)), rng.standard_normal((4, 3)), rng.standard_normal(4)
 
@@ -55,22 +55,22 @@ def test_states_against_another_solver_and_their_order():
 
 
 def turning(rate, speed, h, steps):
-    """ψ of a given rate |ψ|² that turns at constant speed: the exponents are known exactly."""
+    """Return ψ of rate |ψ|² that turns at constant speed, for which the exponents are known."""
     size = np.sqrt(rate)
     return size * at_nodes(lambda t: [np.cos(speed * t), np.sin(speed * t)], 0, h, steps)
 
 
 @pytest.mark.parametrize("rate", [30.0, 1e4, 1e8])
 def test_exponent_of_a_turning_regressor(rate):
-    """In coordinates that turn with ψ the generator is constant: s² + rate s + ω² = 0."""
+    """In coordinates that turn with ψ, the generator is constant: s² + rate s + ω² = 0."""
     speed, steps = 10.0, 400
     h = 2 * np.pi / speed / steps
-    # The slow root, written without cancellation.
+    # This form of the slow root avoids cancellation.
     slow = -2 * speed**2 / (rate + np.sqrt(rate**2 - 4 * speed**2))
     P, _ = flow_steps(np.zeros((2, 2)), turning(rate, speed, h, steps), h)
     multiplier = np.abs(floquet_multipliers(P)[0])
     assert np.log(multiplier) / (steps * h) == pytest.approx(slow, rel=1e-5)
-    # The same from a record that ends anywhere in a period.
+    # A record that ends anywhere in a period gives the same exponent.
     longer = 4137
     P, _ = flow_steps(np.zeros((2, 2)), turning(rate, speed, h, longer), h)
     exponent, change = largest_exponent(P, h)
@@ -79,7 +79,7 @@ def test_exponent_of_a_turning_regressor(rate):
 
 
 def test_an_unstable_direction_is_found_with_its_sign():
-    """N = diag(0.2, -0.1) with ψ along the second axis: exponent 0.2 exactly."""
+    """With N = diag(0.2, -0.1) and ψ along the second axis, the exponent is exactly 0.2."""
     psi = np.zeros((3000, 3, 2))
     psi[..., 1] = 100.0
     P, _ = flow_steps(np.diag([0.2, -0.1]), psi, 0.01)
@@ -134,13 +134,13 @@ CONSTANTS = Parametrisation(
 
 
 def test_exponents_do_not_depend_on_units():
-    """γ Γ in other units of the constants is the same law."""
+    """In other units of the constants, γ Γ gives the same law."""
     t = 2 * np.pi * np.arange(256) / 256
     psi = np.stack([np.cos(t), np.sin(t), np.sin(2 * t), np.cos(3 * t), 1 + 0 * t], axis=1)
     units = np.array([1.0, 1.0, 1e-3, 1e-3, 1e6])
     h = 2 * np.pi / 256
     plain = over_gain(psi, h, CONSTANTS, [0.5, 5.0])
-    # The flux and its drift keep their relation: λ' = θ is λ' = unit · θ_pu.
+    # The relation of flux and drift is unchanged: λ' = θ is λ' = unit · θ_pu.
     scaled = over_gain(psi, h, CONSTANTS, [0.5, 5.0], np.ones(5))
     np.testing.assert_allclose(plain.exponent, scaled.exponent, rtol=1e-9)
     N, root = balanced_error_system(CONSTANTS, units)
@@ -150,7 +150,7 @@ def test_exponents_do_not_depend_on_units():
 
 def test_a_gain_study_calls_stable_only_beyond_its_uncertainty():
     psi = np.zeros((64, 5))
-    psi[:, 4] = 1.0  # only the last constant is excited: the rest is marginal
+    psi[:, 4] = 1.0  # only the last constant is excited, so all other directions are marginal
     study = over_gain(psi, 0.1, CONSTANTS, [1.0])
     assert abs(study.exponent[0]) < 0.1
     assert study.multipliers(6.4)[0] == pytest.approx(np.exp(6.4 * study.exponent[0]))

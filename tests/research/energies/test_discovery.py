@@ -1,4 +1,4 @@
-"""Relations found from energies alone, and two properties of every machine in the library."""
+"""Relations found only from energies, and two properties of every machine in the library."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ from fluxobs.research.energies.library import (
 
 ROOT = Path(__file__).parents[3]
 
-#: Machine → number of quadratic relations, of directions invisible to them, Blondel-Park property.
+#: Machine → number of quadratic relations, number of invisible directions, Blondel-Park property.
 EXPECTED = {
     "surface_pmsm": (1, 2, True),
     "interior_pmsm": (0, None, True),
@@ -63,7 +63,7 @@ def test_every_machine_is_in_the_table():
     assert {make.__name__ for make in LIBRARY} == set(EXPECTED)
 
 
-#: Machines with many fluxes or relations, whose tests take long.
+#: Machines with many fluxes or relations, whose tests need much time.
 LONG = {
     "wound_field",
     "three_coils",
@@ -124,7 +124,7 @@ def test_known_relations_are_found():
     )
     machine = example("maglev-knospe")
     c = np.diag([machine.c_1, machine.c_2])
-    core = machine.constraint  # in core fluxes φ; the system's fluxes are c φ
+    core = machine.constraint  # relation in core fluxes φ; the system's fluxes are c φ
     (relation,) = discover_constraint(knospe()).relations
     inverse = np.linalg.inv(c)
     assert_proportional(
@@ -145,7 +145,7 @@ def test_magnet_bias_needs_the_linear_term():
 
 
 def test_wound_field_relations_of_the_theory():
-    """(λ-L_q i)ᵀ(λ-L_d i) = ΔL P i_F + M² i_F² and ΔL P² + M² P i_F = M² (λ-L_q i)ᵀi, f = 1."""
+    """(λ-L_q i)ᵀ(λ-L_d i) = ΔL P i_F + M² i_F², ΔL P² + M² P i_F = M² (λ-L_q i)ᵀi hold (f = 1)."""
     L_d, L_q, L_F, M = 8e-3, 5e-3, 0.6, 0.05
     system = wound_field(L_d, L_q, L_F, M)
     flux, position = system.random_states(np.random.default_rng(2), 500)
@@ -160,13 +160,13 @@ def test_wound_field_relations_of_the_theory():
     np.testing.assert_allclose(
         second, (L_d - L_q) * P**2 + M**2 * P * i_F, atol=1e-10 * np.abs(second).max()
     )
-    # Both lie in the span of those found.
+    # Both relations are in the span of the relations found.
     for relation in discover_constraint(system).relations:
         assert relative_residual(relation, np.asarray(flux), i).max() < 1e-12
 
 
 def test_a_cage_machine_has_no_relation():
-    """Rotor ports unmeasured: the stator ports alone obey no relation."""
+    """If the rotor ports are not measured, the stator ports alone obey no relation."""
     discovery = discover_constraint(doubly_fed(), ports=(0, 1))
     assert not discovery
     assert discovery.smallest > 1e-3
@@ -185,12 +185,12 @@ def test_higher_relations_state_their_degree_in_flux():
 
 
 def phase_features(variable, names):
-    """Return features of three phases, by name."""
+    """Return features of three phases with their names."""
     return {name: (lambda x, i, k=k: variable(x, i)[:, k]) for k, name in enumerate(names)}
 
 
 def test_saturation_uncovered_by_features():
-    """z = -ln(1 - λ/ψ_s) obeys the relation of the unsaturated machine: z = i (a + b cos) there."""
+    """z = -ln(1 - λ/ψ_s) = i (a + b cos) obeys the relation of the unsaturated machine."""
     psi_s, a, b = 0.5, 0.05, 0.03
     features = phase_features(lambda x, i: -np.log(1 - x / psi_s), ("z1", "z2", "z3"))
     features |= phase_features(lambda x, i: i, ("i1", "i2", "i3"))
@@ -203,7 +203,7 @@ def test_saturation_uncovered_by_features():
     np.testing.assert_allclose(
         quadratic.coefficients, [1, 1, 1, -(3 * a**2 - 0.75 * b**2)], rtol=1e-9
     )
-    # A wrong saturation flux does not linearise it.
+    # A wrong saturation flux does not linearise the relation.
     wrong = phase_features(lambda x, i: -np.log(1 - x / 0.6), ("z1", "z2", "z3"))
     assert not discover_in_features(
         saturated_switched_reluctance(psi_s, a, b), features | wrong, degree=3
@@ -213,7 +213,7 @@ def test_saturation_uncovered_by_features():
 @pytest.mark.parametrize(
     ("features", "degree", "message"),
     [
-        ({}, 2, "at least one is needed"),
+        ({}, 2, "at least one feature"),
         ({"x": lambda x, i: x}, 2, r"feature x must return \(.*\), got shape"),
         ({"x": lambda x, i: np.log(-x[:, 0])}, 2, "feature x is not finite at flux"),
         ({"x": lambda x, i: x[:, 0]}, 5, "degree must be 1, 2, 3 or 4"),
@@ -225,7 +225,7 @@ def test_bad_features(features, degree, message):
 
 
 def test_a_higher_relation_beside_a_quadratic_one():
-    """An affine pair and a saturating choke, i = λ + λ³: one relation of each kind, no products."""
+    """An affine pair and a saturating choke, i = λ + λ³, have one relation each, no products."""
 
     def magnetic_energy(flux, position):
         L = 10e-3 + jnp.array([0.5, -0.5]) * position[0]
@@ -259,9 +259,11 @@ def test_a_failed_check_states_residual_and_state():
     right = SurfacePMSM(R_s=1, L_s=0.6e-3, n_p=4, psi_f=0.0125).constraint
     assert check_constraint(surface_pmsm(), right) < 1e-12
     wrong = SurfacePMSM(R_s=1, L_s=0.7e-3, n_p=4, psi_f=0.0125).constraint
-    with pytest.raises(ModelError, match=r"does not hold: residual .* at flux \[.*position"):
+    with pytest.raises(
+        ModelError, match=r"does not hold: relative residual .* at flux \[.*position"
+    ):
         check_constraint(surface_pmsm(), wrong)
-    with pytest.raises(ModelError, match="the relation has 2 ports, the system 4"):
+    with pytest.raises(ModelError, match="the relation has 2 ports, the system has 4"):
         check_constraint(doubly_fed(), right)
 
 
@@ -279,7 +281,7 @@ def test_bad_arguments(arguments, message):
 
 
 def partly_undefined(flux, position):
-    """Energy of a PMSM that is NaN beyond 2.5 rad."""
+    """Return the energy of a PMSM, which is NaN above 2.5 rad."""
     axis = jnp.array([jnp.cos(position[0]), jnp.sin(position[0])])
     hole = jnp.sqrt(2.5 - position[0])
     return jnp.sum((flux - 0.5 * axis) ** 2) * hole / hole
@@ -315,7 +317,7 @@ def test_a_badly_scaled_system_gives_a_warning_instead_of_a_relation():
 
 
 def one_coil(travel):
-    """λ = k i/(g - q); q up to `travel` times the gap."""
+    """Return a coil with λ = k i/(g - q) and q up to `travel` times the gap."""
     k, g = 1e-5, 1e-3
     return ElectromechanicalSystem(
         linear_magnetics(lambda q: jnp.diag(jnp.array([k / (g - q[0])]))),
@@ -330,24 +332,24 @@ def one_coil(travel):
 @pytest.mark.parametrize(
     ("make", "size", "remedy"),
     [
-        (lambda: interior_pmsm(L_d=0.5e-3 * (1 + 1e-5)), 6.5e-12, "move it away"),
-        (lambda: synchronous_reluctance(L_d=0.01 * (1 + 1e-7)), 2.5e-8, "move it away"),
+        (lambda: interior_pmsm(L_d=0.5e-3 * (1 + 1e-5)), 6.5e-12, "change this parameter"),
+        (lambda: synchronous_reluctance(L_d=0.01 * (1 + 1e-7)), 2.5e-8, "change this parameter"),
         (lambda: one_coil(1e-6), 2.4e-7, "widen position_range"),
     ],
 )
 def test_an_approximate_relation_is_reported_with_size_and_remedy(make, size, remedy):
-    """A saliency of 1e-5, of 1e-7, and a coil that hardly moves have approximate relations."""
+    """Saliencies of 1e-5 and 1e-7 and a coil with little travel have approximate relations."""
     discovery = discover_constraint(make())
     assert not discovery.relations
     assert discovery.approximate[0].size == pytest.approx(size, rel=0.5)
     assert remedy in discovery.warning
-    # Away from these values there is no doubt.
+    # Far from these values, no relation is doubtful.
     for clear in (interior_pmsm(), one_coil(0.8)):
         assert discover_constraint(clear).warning == ""
 
 
 def test_an_approximate_relation_is_the_relation_of_the_nearest_machine():
-    """A saliency of 1e-5 is a surface machine to 1e-11: |λ - L i|² = ψ²."""
+    """A saliency of 1e-5 gives the surface machine's |λ - L i|² = ψ² within 1e-11."""
     (near,) = discover_constraint(interior_pmsm(L_d=0.5e-3 * (1 + 1e-5))).approximate
     terms = dict(zip(map(tuple, near.relation.exponents), near.relation.coefficients, strict=True))
     assert terms[(0, 2, 0, 0)] == pytest.approx(terms[(2, 0, 0, 0)])
@@ -356,7 +358,7 @@ def test_an_approximate_relation_is_the_relation_of_the_nearest_machine():
 
 
 def test_a_port_without_current_and_one_independent_of_position():
-    """Their affine relations are eliminated; the rest is found, and is still transformable."""
+    """Affine relations are eliminated; the other relations and transformability are found."""
 
     def magnetic_energy(flux, position):
         axis = jnp.array([jnp.cos(position[0]), jnp.sin(position[0])])
@@ -370,7 +372,7 @@ def test_a_port_without_current_and_one_independent_of_position():
 
 
 def test_pairs_of_very_different_size_are_equally_visible():
-    """Two opposed pairs, the second a millionth of the first: no direction is invisible."""
+    """If the second of two opposed pairs is a millionth of the first, no direction is invisible."""
     swap = np.array([[0.0, 1.0], [1.0, 0.0]])
     blocks = [(1e-3 * swap, -1e-5 * k * swap) for k in (1.0, 1e-6)]
     relations = []

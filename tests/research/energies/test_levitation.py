@@ -30,7 +30,7 @@ def controller(alpha=0.01, G=5e3, flux=TYPICAL, position=0.0):
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), alpha=st.sampled_from([0.01, 10.0]))
 def test_shaped_energy_falls_by_its_dissipation(seed, alpha):
-    """Ḣ_d = -∇H_dᵀ diag(R/Nc₁, R/Nc₂, R_a/D², 0) ∇H_d, for constant references."""
+    """Ḣ_d = -∇H_dᵀ diag(R/Nc₁, R/Nc₂, R_a/D², 0) ∇H_d holds for constant references."""
     rng = np.random.default_rng(seed)
     law = controller(alpha)
     m = MACHINE
@@ -137,7 +137,7 @@ def test_printed_regression_differs_and_the_corrected_one_holds():
 
     span = slice(1000, 14900)
     size = np.sqrt(np.mean(np.square(rows.y[span])))
-    # Limited by the parabolas in the filters.
+    # The parabolas in the filters limit the accuracy.
     assert np.abs(unexplained(rows)[span]).max() < 3e-8 * size
     assert np.sqrt(np.mean(unexplained(printed_rows)[span] ** 2)) > size
 

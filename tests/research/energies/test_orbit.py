@@ -1,4 +1,4 @@
-"""Periodic orbits and poles of systems where both are known in closed form."""
+"""Periodic orbits and poles of systems for which closed forms exist."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +13,7 @@ R, L, SPEED, M, D, K = 2.0, 0.5, 3.0, 0.4, 0.3, 5.0
 
 
 def choke_and_spring(resistance=R):
-    """A choke and, uncoupled from it, a damped spring."""
+    """Return a choke and a damped spring without coupling."""
     return ElectromechanicalSystem(
         lambda flux, q: flux[0] ** 2 / (2 * L) + K * q[0] ** 2 / 2,
         inertia(M),
@@ -41,7 +41,7 @@ def find_orbit(system):
 
 
 def test_orbit_and_multipliers_of_a_linear_system():
-    """λ = Re(e^{jωt}/(R/L + jω)); multipliers are the exponentials of the poles."""
+    """λ = Re(e^{jωt}/(R/L + jω)), and the multipliers are the exponentials of the poles."""
     orbit = find_orbit(choke_and_spring())
     t = orbit.trajectory.t
     exact = np.real(np.exp(1j * SPEED * t) / (R / L + 1j * SPEED))
@@ -55,7 +55,7 @@ def test_orbit_and_multipliers_of_a_linear_system():
 
 
 def test_a_missing_orbit_is_reported():
-    """Without resistance a constant voltage has no periodic flux."""
+    """Without resistance, a constant voltage has no periodic flux."""
     system = choke_and_spring(0.0)
     with pytest.raises(ModelError, match=r"no orbit of 2\.0944\d* s near the guess"):
         periodic_orbit(

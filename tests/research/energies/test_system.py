@@ -42,7 +42,7 @@ def power(system, state, voltage, load):
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(sorted(SYSTEMS)))
 def test_power_balance(seed, name):
-    """Stored = supplied - dissipated, at any state, for every machine of the library."""
+    """Stored = supplied - dissipated holds at any state for every machine of the library."""
     system, rng = system_of(name), np.random.default_rng(seed)
     flux, position = (states[0] for states in system.random_states(rng, 1))
     scale = np.abs(np.asarray(system.current(flux, position))).max()
@@ -100,7 +100,7 @@ def test_the_electrostatic_dual_satisfies_its_relation():
     voltage = jax.vmap(system.current)(charge, position)
     size = np.abs(charge).max() ** 2 * 2e-6
     assert np.abs(relation.residual(charge, voltage)).max() < 1e-14 * size
-    # A charged capacitor between plates: v = Q (g - q)/(ε A), attracted towards its plate.
+    # A charged capacitor between plates has v = Q (g - q)/(ε A) and is attracted to its plate.
     assert system.force(jnp.array([1e-12, 0.0]), jnp.zeros(1))[0] > 0
 
 

@@ -11,7 +11,7 @@ NUMBERS = json.loads((Path(__file__).parents[2] / "expected" / "reproduce.json")
 
 
 def distinct_numbers():
-    """Return the committed numbers with different errors for every observer, and the courses."""
+    """Return (committed numbers with a different error for every observer, courses)."""
     results = copy.deepcopy(NUMBERS)
     courses = results["scenarios"]["S5"]["courses"]
     for k, course in enumerate(courses.values()):
@@ -29,12 +29,12 @@ def test_claims_show_the_numbers_of_their_observer():
     printed = courses["adaptive, printed gain"]
     line = row(text, "Figure 3")
     assert f"{printed['before']:.2g} before and {printed['end']:.2g} after" in line
-    line = row(text, "(the same equations as printed")
+    line = row(text, "(these equations as printed")
     assert f"{courses['adaptive, printed gain and Φ']['end']:.2g} at the end" in line
     ratio = courses["robust, printed gain"]["end"] / courses["voltage model"]["end"]
     line = row(text, "Figure 2")
     assert f"error ratio {ratio:.3f}" in line
-    assert f"bounded, {courses['robust, balanced gain']['before']:.2g} rms" in line
+    assert f"bounded: {courses['robust, balanced gain']['before']:.2g} rms" in line
     for name, course in courses.items():
         if name != "adaptive, printed gain":
             assert f"{course['end']:.2g} after" not in row(text, "Figure 3"), name
@@ -102,12 +102,12 @@ def test_deep_sections_follow_the_numbers():
         },
     }
     text = "\n".join(deep.markdown(results))
-    assert "Unstable at 3 of 4 gains" in text
+    assert "The law is unstable at 3 of 4 gains" in text
     assert "at least 1.750" in text
     assert "| as they are | 1.5 | 2.5 |" in text
     assert "| × 0.5 | 0.95 | 1.75 |" in text
     assert "| Riccati | 0.11; 0.22 |" in text
     assert "| S5 | 1.0e-05 | 2.3% |" in text
-    assert "-0.11, -41 ± 8641j 1/s; as printed: -2.6 1/s" in text
+    assert "-0.11, -41 ± 8641j 1/s with corrected z̃₂ and -2.6 1/s with printed z̃₂" in text
     assert "| levitation | least squares | 1.10 | no | 0.13 | 0.14 | 0.35 | < 1e-9 |" in text
     assert "| adaptive, repaired | never | 15.03 | 0.13 | – | 0.9 | – |" in text

@@ -1,4 +1,4 @@
-"""Section V with one command: its numbers agree with the committed ones, and are reproducible.
+"""Section V with one command: the numbers agree with the committed numbers and are reproducible.
 
 ``python tests/research/paper/test_reproduce.py`` rewrites the expected numbers.
 """
@@ -26,8 +26,8 @@ FIGURES = (
     "pmsm",
     "counter_example",
 )
-#: Below the first an error is rounding, and its digits differ between machines; above the second
-#: an error grows without bound, and its digits differ too.
+#: Below ROUNDING, an error is a rounding error; above UNBOUNDED, it grows without bound. In both
+#: cases, the digits differ between machines.
 ROUNDING, UNBOUNDED = 1e-5, 1e2
 
 
@@ -68,7 +68,7 @@ def test_quick_run_writes_figures_report_and_the_committed_numbers(tmp_path):
     assert page.count("<table>") == report.count("| --- |\n")
     assert 'src="data:' in page
     assert ".png" not in page
-    # Statements of the report that must hold.
+    # These statements of the report must hold.
     courses = numbers["scenarios"]["S5"]["courses"]
     assert courses["adaptive, repaired"]["settled"]["0.001"] < 10
     assert courses["least squares"]["settled"]["0.02"] < 0.3

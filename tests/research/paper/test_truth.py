@@ -1,4 +1,4 @@
-"""The reproduction against other solvers, closed forms and the paper's text."""
+"""The reproduction agrees with other solvers, closed forms and the paper's text."""
 
 from functools import cache
 
@@ -27,7 +27,7 @@ from fluxobs.research.regression import Parametrisation, Regressors
 
 
 def test_the_settings_are_those_of_the_paper():
-    """Section V-B, number by number. It does not give G and φ(0): these are our choice."""
+    """Every number is that of Section V-B, except G and φ(0), which the paper does not give."""
     m = example("maglev-knospe")
     assert (m.J, m.k_1, m.k_2, m.resistance, m.N) == (9.67e-2, 2.2e-8, 2.2e-8, 1.6, 321)
     assert (m.c_1, m.c_2, m.g, m.D) == (293.5, 293.5, 3.3e-4, 0.145)
@@ -47,7 +47,7 @@ def test_the_settings_are_those_of_the_paper():
 
 @cache
 def main():
-    """Return the first seconds of S5, with a jump: enough for the laws to be stiff."""
+    """Return the first seconds of S5 with a jump, in which the laws are already stiff."""
     return record(SCENARIOS["S5"], quick=True)
 
 
@@ -64,7 +64,7 @@ def test_the_record_settles_to_the_periodic_orbit():
 @pytest.mark.slow
 @pytest.mark.parametrize(("segment", "expected"), [(0, 0.00815), (1, 0.01703)])
 def test_growth_on_the_orbit_against_another_solver(segment, expected):
-    """Printed gains: the monodromy matrix by LSODA, from the regressor's spline."""
+    """With the printed gains, LSODA gives this monodromy matrix from the regressor's spline."""
     psi, h = stability.psi_on_orbit("S5", segment)
     constants = stability.printed_constants()
     study = stability.over_gain(psi, h, constants, (1.0,), np.array(ADAPTIVE_GAIN))
@@ -100,15 +100,15 @@ def test_a_scalar_gain_is_unstable_at_every_gain_and_in_the_limit():
     study = stability.scalar_gain()
     assert study.alpha == pytest.approx(6.43e-5, rel=0.01)
     for unit, multipliers in study.multipliers.items():
-        # With the drift in fluxes per second one gain is stable, with unstable ones above it.
+        # With the drift in fluxes per second, one gain is stable; higher gains are unstable.
         assert (multipliers > 1.0).sum() == len(study.gains) - (unit == 0.155)
         assert multipliers[-1] > 1.05
         assert multipliers[-1] == pytest.approx(multipliers[-2], rel=1e-2)
     plain = study.multipliers[1.0]
     assert plain[0] == pytest.approx(1.0326, abs=1e-3)
     assert plain[-1] == pytest.approx(6.11e4, rel=0.01)
-    # As γ → ∞ the error stays orthogonal to Ψ: x' = N x - ψ (ψᵀN x + ψ'ᵀx)/|ψ|², in one
-    # dimension less.
+    # As γ → ∞, the error stays orthogonal to Ψ and loses one dimension: x' = N x - ψ (ψᵀN x +
+    # ψ'ᵀx)/|ψ|².
     psi, h = stability.psi_on_orbit("S5", 0)
     scaled, units = stability.unit_regressor(psi)
     N = np.zeros((7, 7))
@@ -163,7 +163,7 @@ def converged(form):
 
 @pytest.mark.parametrize("form", ["corrected", "printed"])
 def test_printed_law_against_another_solver(form):
-    """The law as published, in the estimate rather than the error, by LSODA."""
+    """LSODA integrates the published law for the estimate instead of the error."""
     drive, regression, constants, run = converged(form)
     assert run.change < 1e-3
     root = np.sqrt(np.array(ADAPTIVE_GAIN))
@@ -215,7 +215,7 @@ def test_parameter_errors_start_at_their_size_and_end_at_zero():
     drive = main()
     run = levitation_run(drive, all_observers=False)
     for name in ("adaptive, printed gain", "adaptive, repaired"):
-        # Zero estimates: 100 % of θ and 100 % of the block from δ_i.
+        # Zero estimates have errors of 100 % of θ and 100 % of the block from δ_i.
         assert run.courses[name].constants[10] == pytest.approx(np.sqrt(2), rel=1e-6)
     for name in ("adaptive, repaired", "least squares"):
         before = np.searchsorted(run.courses[name].t, drive.jump) - 2
@@ -223,14 +223,14 @@ def test_parameter_errors_start_at_their_size_and_end_at_zero():
         assert run.courses[name].constants[-1] < 1e-3, name
     theta = np.linalg.norm(drive.drift[0])
     assert run.courses["adaptive, printed gain"].parameters[10] == pytest.approx(theta, rel=1e-6)
-    # The robust law with the printed gain is the voltage model: it integrates the drift.
+    # With the printed gain, the robust law equals the voltage model, which integrates the drift.
     t = run.courses["voltage model"].t
     at = np.searchsorted(t, 10.0)
     for name in ("voltage model", "robust, printed gain"):
         error = run.courses[name].flux[at] * np.linalg.norm(drive.flux, axis=1).max()
         exact = np.linalg.norm(-drive.flux[0] - 10.0 * drive.drift[0])
         assert error == pytest.approx(exact, rel=1e-3), name
-    # The scales that errors refer to: the largest entry of each constant, within a factor of two.
+    # The scale of each constant's errors is its largest entry, within a factor of two.
     printed = Parametrisation(drive.constraint, "printed", CORNER)
     size = sizes(drive)[1]
     for name, block in (("θ", slice(0, 2)), ("θᵀQ1θ", slice(4, 5))):
@@ -242,9 +242,9 @@ def test_parameter_errors_start_at_their_size_and_end_at_zero():
 
 
 def test_noise_of_the_relation_by_monte_carlo():
-    """The least squares weighs its relation by the scatter caused by noise.
+    """The least squares weights its relation by the scatter due to noise.
 
-    Current noise acts at once, voltage noise is summed over the memory.
+    Current noise acts immediately; voltage noise is summed over the memory.
     """
     m, h, memory = example("maglev-knospe"), 1e-3, 0.5
     noise, rng, count = (1e-3, 1e-2), np.random.default_rng(3), 4000
@@ -260,7 +260,7 @@ def test_noise_of_the_relation_by_monte_carlo():
 
 
 def test_erratum_8():
-    """The literal model grows as R g/k (1 - 1/(N c)); z̃₂ slows a pole; φ* = 0 has no minimum."""
+    """The literal model grows at R g/k (1 - 1/(N c)), z̃₂ slows a pole, φ* = 0 has no minimum."""
     study, m = levitation_errata.study(), example("maglev-knospe")
     growth = m.resistance * m.g / m.k_1 * (1 - 1 / (m.N * m.c_1))
     assert growth == pytest.approx(2.40e4, rel=2e-3)
@@ -275,7 +275,7 @@ def test_erratum_8():
 
 
 def test_observability_distinguishes_scenarios():
-    """With 1 mA of noise the flux is known to a few percent in S5, and not known in S3."""
+    """With 1 mA of noise, the flux is known within a few percent in S5, but unknown in S3."""
     strong = observability(main())
     weak = observability(record(SCENARIOS["S3"], quick=True))
     assert strong.flux_std < 0.05 < 0.3 < weak.flux_std
@@ -291,18 +291,18 @@ def test_the_loop_closes_on_the_least_squares_and_survives_the_jump():
     assert result.lost is None
     assert result.flux_error < 1e-6
     assert result.peak < 0.5
-    # With the true state tracking is no better: the remaining distance is the law's own lag.
+    # With the true state, tracking is not better: the remaining distance is the law's own lag.
     assert result.before == pytest.approx(0.13, abs=0.02)
 
 
 def test_rigs_are_scaled_versions_of_one_problem():
-    """The actuator without its spring, the bearing and the levitation agree in their own units."""
+    """In their own units, the actuator without spring, the bearing and the levitation agree."""
     paths = []
     for rig in (closed_loop.levitation(), closed_loop.bearing_axis()):
         v, _ = closed_loop.nominal_record(rig, closed_loop.SAMPLE * rig.unit, 3.0)
         paths.append(np.cumsum(v, axis=0) / rig.typical)
     assert np.abs(paths[0] - paths[1]).max() < 0.1
-    # Dimensionless groups that the scaling must keep.
+    # The scaling must not change these dimensionless groups.
     groups = []
     for rig in closed_loop.rigs():
         m, law, phi = rig.machine, rig.law, rig.typical

@@ -1,4 +1,4 @@
-"""The paper's observers and related ones, against their own definitions."""
+"""The paper's observers and related observers agree with their definitions."""
 
 from functools import cache
 
@@ -50,7 +50,7 @@ def observers(rng):
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_short_step_follows_the_differential_equation(seed):
-    """(step(h) - state)/h tends to `derivative`, for every law published as an equation."""
+    """(step(h) - state)/h converges to `derivative` for every law published as an equation."""
     rng = np.random.default_rng(seed)
     row, y_m = random_row(rng), jnp.asarray(rng.standard_normal(2))
     for name, observer in observers(rng).items():
@@ -68,7 +68,7 @@ def test_a_short_step_follows_the_differential_equation(seed):
 
 
 def test_a_step_is_the_exact_flow_of_a_constant_regressor():
-    """At any gain: stiff laws need no small steps."""
+    """This holds at any gain, so stiff laws need no small steps."""
     row = random_row(np.random.default_rng(0))._replace(Phi_flux=jnp.array([0.6, -0.8]))
     observer, start, h = RobustObserver([30.0, 40.0], 2), jnp.array([1.0, 2.0]), 0.3
     solution = diffrax.diffeqsolve(
@@ -91,7 +91,7 @@ def test_a_step_is_the_exact_flow_of_a_constant_regressor():
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_repaired_error_is_a_cascade(seed):
-    """η = λ̃ - U θ̃ obeys η' = -Γ Φ Φᵀ η, whatever θ̃ and G are; in steps, exactly."""
+    """η = λ̃ - U θ̃ obeys η' = -Γ Φ Φᵀ η for any θ̃ and G, and exactly in steps."""
     rng = np.random.default_rng(seed)
     observer = observers(rng)["repaired"]
     flux, theta = rng.standard_normal(2), rng.standard_normal(3)
@@ -129,7 +129,7 @@ def record_and_skip():
 
 
 def errors(flux):
-    """Return errors of the active flux λ - L i, over ψ: independent of the current bias."""
+    """Return errors of the active flux λ - L i over ψ, which do not depend on the current bias."""
     drive = record()
     shift = drive.machine.L_s * drive.current_bias
     return np.linalg.norm(np.asarray(flux) - drive.flux - shift, axis=1) / drive.machine.psi_f
@@ -207,7 +207,7 @@ def test_riccati_equals_the_dense_weighted_least_squares():
 
 @pytest.mark.slow
 def test_drem_is_exact_once_its_formula_applies():
-    """Finite time: exact up to rounding once 1 - w > 0.1, not only asymptotically."""
+    """In finite time, when 1 - w > 0.1, the estimate is exact up to rounding."""
     rng = np.random.default_rng(2)
     theta = np.array([0.2, -0.1, 0.3])
     observer = DremObserver(1.0, 1.0, np.eye(5), CONSTANTS)
@@ -259,7 +259,7 @@ def test_parametrisation_lengths():
 
 
 def test_generalised_pebo_equals_the_dense_least_squares():
-    """The dense problem: all rows in terms of the initial state, with forgetting and the prior."""
+    """The dense problem expresses all rows in the initial state, with forgetting and the prior."""
     rng = np.random.default_rng(4)
     scale, beta, h = np.array([1.0, 1.0, 0.5, 0.5, 2.0]), 0.7, 0.05
     observer = GeneralisedPEBO(CONSTANTS, scale, 0.1, forgetting=beta)
@@ -284,7 +284,7 @@ def test_generalised_pebo_equals_the_dense_least_squares():
 
 
 def test_mixed_estimates_follow_their_equation():
-    """``θ̂_j' = γ Δ (Y_j - Δ θ̂_j)`` with the mixed regression frozen over a step."""
+    """``θ̂_j' = γ Δ (Y_j - Δ θ̂_j)`` holds with the mixed regression constant over a step."""
     rng = np.random.default_rng(9)
     gamma, h, size = 3.0, 0.05, 5
     observer = GeneralisedPEBO(
@@ -309,7 +309,7 @@ def test_mixed_estimates_follow_their_equation():
 
 
 def test_mixing_removes_the_initial_value_from_the_least_squares():
-    """With interval excitation, least squares keeps part of its initial value, mixing does not."""
+    """With interval excitation, least squares keeps a part of its start value; mixing does not."""
     rng = np.random.default_rng(6)
     theta = np.array([0.2, -0.1, 0.3])
     observers = {

@@ -1,4 +1,4 @@
-"""The regression in periodic steady state, against its residual and the filters over time."""
+"""The regression in periodic steady state agrees with its residual and the filters over time."""
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +23,7 @@ DRIFT, BIAS = np.array([0.05, -0.1]), np.array([0.02, 0.03])
 
 
 def signals(t):
-    """A PMSM whose angle and current have the period 2π."""
+    """Return signals of a PMSM whose angle and current have the period 2π."""
     angle = t + 0.8 * jnp.sin(t)
     axis = jnp.array([jnp.cos(angle), jnp.sin(angle)])
     current = jnp.array([0.3 * jnp.sin(2 * t), 0.5 + 0.2 * jnp.cos(t)])
@@ -77,16 +77,16 @@ def test_between_is_exact_for_resolved_signals(samples):
 def test_too_few_samples_are_refused():
     t = PERIOD * np.arange(16) / 16
     _, y_m, current = sampled(t)
-    with pytest.raises(ModelError, match="y_m: 16 samples a period do not resolve it"):
+    with pytest.raises(ModelError, match="y_m: 16 samples per period do not resolve"):
         periodic_regression(RELATION, CORNER, Orbit(PERIOD, y_m, current))
-    # Whatever the unit: resolution does not depend on the size of the signals.
+    # Units have no effect: resolution does not depend on the size of the signals.
     for unit in (1e-6, 1e6):
-        with pytest.raises(ModelError, match="16 samples a period do not resolve it"):
+        with pytest.raises(ModelError, match="16 samples per period do not resolve"):
             periodic_regression(RELATION, CORNER, Orbit(PERIOD, unit * y_m, unit * current))
     _, fine, fine_current = sampled(PERIOD * np.arange(256) / 256)
     for unit in (1e-6, 1e6):
         periodic_regression(RELATION, CORNER, Orbit(PERIOD, unit * fine, unit * fine_current))
-    # And a wrong period.
+    # A wrong period also raises an error.
     t = 0.9 * PERIOD * np.arange(256) / 256
     _, y_m, current = sampled(t)
     with pytest.raises(ModelError, match="check that the period is"):

@@ -1,4 +1,4 @@
-"""Lemma 1, corrected: residuals in continuous time and on samples; the printed forms fail."""
+"""Corrected Lemma 1 has small residuals in continuous time and on samples; printed forms fail."""
 
 from functools import cache
 from pathlib import Path
@@ -25,14 +25,14 @@ VECTORS = Path(__file__).parents[2] / "vectors"
 
 
 def run_in(rows, first=20):
-    """Return the rows after the filters' transient: e^{-νt} with νt > 30."""
+    """Return the rows after the filters' transient e^{-νt}, with νt > 30."""
     return rows.part(slice(first, None))
 
 
 CORNERS = {"pmsm": 60.0, "synrm": 60.0, "maglev": 50.0, "three-port": 8.0}
 
 
-#: Cases whose filters take seconds to integrate.
+#: Cases in which the integration of the filters needs seconds.
 LONG = {"three-port", "pmsm", "synrm"}
 
 
@@ -66,7 +66,7 @@ def test_printed_forms_fail_as_the_errata_state():
     i_m = np.array([case.measured(t)[1] for t in times_of("pmsm")])
     missing = (CORNERS["pmsm"] - 1) * np.einsum("ki,ki->k", i_m @ case.constraint.Q2.T, flux)
     np.testing.assert_allclose(error, missing, rtol=1e-6, atol=1e-9 * y)
-    # Erratum 1: θ_ya and θ_yb with the printed signs, equivalent to the bias with the other sign.
+    # Erratum 1: the printed signs of θ_ya and θ_yb are equivalent to a bias of opposite sign.
     error = residual(rows, case.constraint, flux, case.drift, -case.current_bias)
     assert np.sqrt(np.mean(error**2)) > 0.02 * y
 
@@ -76,7 +76,7 @@ def times_of(name):
 
 
 def test_the_constant_of_y_b_has_a_vanishing_regressor():
-    """Erratum 4: through ν p²/(p + ν)² a constant leaves only νe^{-νt}(1 - νt)."""
+    """Erratum 4: after ν p²/(p + ν)², only νe^{-νt}(1 - νt) remains of a constant."""
     constraint = QuadraticConstraint(np.eye(2), np.zeros((2, 2)), np.eye(2))
     regression = FilteredRegression(constraint, 5.0)
     steps, h = 2000, 4e-3
@@ -89,7 +89,7 @@ def test_the_constant_of_y_b_has_a_vanishing_regressor():
 
 @pytest.mark.slow
 def test_redundancy_of_the_printed_parametrisation():
-    """Erratum 5: Φ_λ = 2 Q1 Φ_a + Q2 Φ_b; therefore (s, -2 Q1 s, -Q2ᵀ s) is never seen."""
+    """Erratum 5: Φ_λ = 2 Q1 Φ_a + Q2 Φ_b; therefore (s, -2 Q1 s, -Q2ᵀ s) is never visible."""
     case, rows, _ = continuous("three-port")
     Q1, Q2 = case.constraint.Q1, case.constraint.Q2
     expected = rows.Phi_a @ (2 * Q1) + rows.Phi_b @ Q2.T
@@ -117,7 +117,7 @@ def test_sampled_recursion_matches_the_sums_in_extended_precision(name):
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), a=st.floats(0.3, 0.95))
 def test_sampled_regression_is_exact_from_the_first_sample(seed, a):
-    """Not only after the transient: with the start's moments times s and κ of the immersion."""
+    """It is exact in the transient too, with the start's moments times s, κ of the immersion."""
     rng = np.random.default_rng(seed)
     n, rows_count, h = 3, 30, 0.1
     random = random_constraint(rng, n)
@@ -163,7 +163,8 @@ def test_voltage_bias_parametrisation_is_exact_without_current_bias():
     case, rows, flux = continuous("pmsm")
     constants = Parametrisation(case.constraint, "voltage-bias", CORNERS["pmsm"])
     assert len(constants) == 3
-    # The same measurements belong to the flux λ + L δ without a bias: docs/theory.md, section 3.
+    # These measurements are also those of the flux λ + L δ without bias (docs/theory.md, section
+    # 3).
     shifted = flux + 3e-3 * case.current_bias
     theta = constants.constants(case.drift, np.zeros(2))
     explained = np.einsum("ki,ki->k", rows.Phi_flux, shifted) + constants.record(rows) @ theta

@@ -1,7 +1,7 @@
-"""The demonstration, and the replay of its log against committed outputs.
+"""The demonstration, and a replay of its log that must give the committed outputs.
 
-Any changed number shows as a diff of tests/expected/demo.csv. If the change is intended, rewrite
-the file with ``PYTHONPATH=tests python tests/simulation/closed_form/test_demo.py``.
+Every changed number appears as a difference in tests/expected/demo.csv. If the change is intended,
+rewrite the file with ``PYTHONPATH=tests python tests/simulation/closed_form/test_demo.py``.
 """
 
 import io
@@ -51,7 +51,7 @@ def test_demo_errors_are_small(tmp_path):
     result, estimates = replay(tmp_path)
     statistics = result.statistics
     assert statistics.valid > 0.9 * statistics.rows
-    assert statistics.error_max < np.radians(15)  # through zero speed, with a dead-time error
+    assert statistics.error_max < np.radians(15)  # passes zero speed, with a dead-time error
     settled = estimates.filter(pl.col("valid") & (pl.col("t") > 0.2) & (pl.col("t") < 1.0))
     assert settled["theta_e_error"].abs().max() < np.radians(2)
 

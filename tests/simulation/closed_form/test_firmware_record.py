@@ -19,7 +19,7 @@ def test_the_observer_follows_the_record(name):
     if machine.half_turn_ambiguous:
         error = wrapped_degrees(2 * (estimate.theta_e - record.theta_e)) / 2
     assert estimate.valid.sum() > 500
-    # At few samples per turn, quadrature errors reach degrees if L/R is short.
+    # With few samples per turn, quadrature errors reach degrees if L/R is short.
     assert np.abs(error[estimate.valid]).max() < 5
     state, _ = observer.resume(observer.init(), record.voltage, record.current)
     counts = observer.counts(state)

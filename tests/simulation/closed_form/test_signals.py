@@ -1,4 +1,4 @@
-"""The closed-form signals against their equations."""
+"""The closed-form signals satisfy their equations."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ H, PARTS = 1e-4, 16
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_flux_voltage_and_current_satisfy_the_equations(name):
-    """λ = λ(i_dq) e^{jθ}, and its change is the integral of u - R i."""
+    """λ = λ(i_dq) e^{jθ}, and the change of λ is the integral of u - R i."""
     machine, i_dq = MACHINES[name], CURRENTS[name]
     true = steady(machine, H, np.linspace(-400, 600, 300), 300, i_dq, 0.3)
     turn = np.exp(1j * true.theta_e)
@@ -67,5 +67,5 @@ def test_inverter_loss_opposes_each_phase_current():
     phases = np.stack([(current * np.exp(-2j * np.pi / 3 * k)).real for k in range(3)])
     expected = clarke(*(0.5 * np.tanh(phases / 0.01))) @ [1, 1j]
     np.testing.assert_allclose(lost, expected, atol=1e-15)
-    assert ((lost * current.conj()).real > 0).all()  # it dissipates
+    assert ((lost * current.conj()).real > 0).all()  # the lost voltage dissipates power
     assert (inverter_loss(current, 0.0, 0.01) == 0).all()

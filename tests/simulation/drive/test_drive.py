@@ -1,4 +1,4 @@
-"""The drive simulator against closed forms, conservation laws and independent recursions."""
+"""The drive simulator agrees with closed forms, conservation laws and independent recursions."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_power_balance(name):
                 plant.mechanics.resisting(state.speed) * state.speed,
             ]
         )
-        # Simpson's rule over the step, with the state after half a step.
+        # Use Simpson's rule over the step, with the state after half a step.
         half = plant.advance(state, u, jnp.zeros(()), jnp.asarray(h / 2), 1)
         after = plant.advance(half, u, jnp.zeros(()), jnp.asarray(h / 2), 1)
 
@@ -137,7 +137,7 @@ def test_locked_rotor_follows_its_time_constant():
 
 @pytest.mark.parametrize("elastic", [False, True])
 def test_against_an_independent_solver(elastic):
-    """A salient machine in rotor coordinates, solved by SciPy."""
+    """SciPy's solution of a salient machine in rotor coordinates agrees with the plant."""
     m = example("ipm-2kw2")
     coupling = {"J_load": 0.01, "stiffness": 200.0, "damping": 0.02} if elastic else {}
     mechanics = Mechanics(0.004, viscous=2e-3, fan=1e-4, **coupling)
@@ -205,7 +205,7 @@ def test_switching_and_averaged_inverter_agree_over_a_period(current):
     duties = averaged.duties(jnp.asarray(120 * np.exp(1.1j)), link)
     mean = sum(switching.switched(duties, link, i, h, jnp.asarray(k)) for k in range(parts)) / parts
     assert complex(mean) == pytest.approx(complex(averaged.averaged(duties, link, i, h)), abs=1e-9)
-    # Both lose the voltage of dead time and drop, against the phase currents.
+    # Both inverters lose the voltage of dead time and drop, opposite to the phase currents.
     signs = np.sign(np.asarray(phases(i)))
     lost = complex(from_phases(jnp.asarray((2e-6 / H * 540 + 1.1) * signs)))
     assert complex(mean) == pytest.approx(120 * np.exp(1.1j) - lost - 0.05 * current, abs=1e-6)
@@ -255,13 +255,13 @@ def test_each_sensor_flaw():
 
 
 def test_jitter_multiplies_the_current_slope():
-    """Its noise is the deviation of the sampling instant times the true slope of the current."""
+    """The noise is the deviation of the sampling instant times the true slope of the current."""
     jitter = 1e-6
     d = drive(sensors=Sensors(jitter=jitter))
     run = simulate(d, Course(Profile([0.0, 0.2], [0.0, 100.0]), 540.0, load=8.0), 0.5)
     late = slice(2400, None)
     noise = (run.trace.measured_current - run.trace.current)[late]
-    # The slope just before the sample, under the last interval's voltage.
+    # Slope just before the sample, with the last interval's voltage.
     trace, motor = run.trace, MACHINES["pmsm-2kw2"]
     acted = np.concatenate([[0], trace.voltage[:-1]])
     emf = 1j * motor.n_p * trace.speed * motor.psi_f * np.exp(1j * trace.theta_e)
@@ -288,7 +288,7 @@ def test_many_steps_in_a_sample_agree_with_few_in_short_samples():
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_maximum_torque_per_ampere(name):
-    """The torque is that commanded, and no other current of the same length makes more."""
+    """The torque equals the command, and no other current of this length gives more torque."""
     motor = MACHINES[name]
     control = Control.of(motor, 0.01, H, 10.0, i_d_min=-10.0)
     for share in (0.1, 0.5, -0.9):
@@ -302,7 +302,7 @@ def test_maximum_torque_per_ampere(name):
 
 
 def test_current_step_agrees_with_the_discrete_loop():
-    """Locked rotor, against the closed loop as a matrix, sample by sample."""
+    """With a locked rotor, every sample agrees with the closed loop's transition matrix."""
     motor = MACHINES["pmsm-2kw2"]
     d = drive(J=1e9, speed_bandwidth=10.0)
     control = d.control
@@ -363,7 +363,7 @@ def test_speed_control_holds_a_load(name):
 
 
 def test_anti_windup():
-    """After a second at the current limit the speed overshoots by at most a few percent."""
+    """After a second at the current limit, the speed overshoots by at most a few percent."""
     d = drive(J=0.15)
     run = simulate(d, Course(Profile([0.0, 0.0], [0.0, 100.0]), 540.0), 2.5)
     assert any(event.what == "current limit met" for event in run.events)
@@ -417,16 +417,18 @@ def test_impossible_values_are_refused():
     with pytest.raises(ModelError, match="duration must be a number of seconds"):
         simulate(drive(), Course(10.0, 540.0), float("nan"))
     stiff = Mechanics(1e-3, J_load=1e-3, stiffness=1e12)
-    with pytest.raises(ModelError, match=r"stiffness is .* steps per sample of 0.000125 s. Leave"):
+    with pytest.raises(ModelError, match=r"stiffness is .* steps per sample of 0.000125 s; leave"):
         simulate(replace(drive(), plant=Plant(MACHINES["pmsm-2kw2"], stiff)), Course(1.0, 540.0), 1)
     compiled = LeastSquaresObserver.for_machine(example("pmsm-2kw2"), sample_time=H)
-    with pytest.raises(ModelError, match=r"drive.observer is a LeastSquaresObserver; make it with"):
+    with pytest.raises(
+        ModelError, match=r"drive.observer is a LeastSquaresObserver; create it with"
+    ):
         simulate(replace(drive(), observer=compiled), Course(10.0, 540.0), 0.1)
     with pytest.raises(ModelError, match=r"drive.sensorless needs a drive.observer"):
         simulate(replace(drive(), sensorless=Sensorless(5.0, 40.0, 80.0)), Course(1.0, 540.0), 0.1)
     other = LeastSquaresObserver.for_machine(example("pmsm-2kw2"), sample_time=1e-3)
     slow = replace(drive(), observer=LoopObserver.of(other))
-    with pytest.raises(ModelError, match=r"the observer's sample time, 0.001 s, is not the dr"):
+    with pytest.raises(ModelError, match=r"the observer's sample time is 0.001 s, but the dr"):
         simulate(slow, Course(1.0, 540.0), 0.1)
     with pytest.raises(ModelError, match="psi_f is missing"):
         Motor.of(SurfacePMSM(R_s=1.0, L_s=1e-3, n_p=4))
@@ -439,7 +441,7 @@ def test_impossible_values_are_refused():
 
 
 def test_overcurrent_trips_and_is_reported():
-    """Gains for seventy times the true inductance."""
+    """The gains are those for seventy times the true inductance."""
     d = drive()
     small = Motor(0.1, 5e-4, 5e-4, 0.545, 3)
     d = replace(d, plant=Plant(small, d.plant.mechanics))
@@ -465,7 +467,7 @@ def test_a_state_that_is_not_finite_raises():
 
 
 def test_a_record_satisfies_the_voltage_equation():
-    """Row k's voltage acts from k to k + 1: Δλ = ∫ (u - R i) dt over every interval."""
+    """Row k's voltage acts from row k to k + 1: Δλ = ∫ (u - R i) dt over every interval."""
     motor = MACHINES["pmsm-2kw2"]
     run = simulate(drive(), Course(Profile([0.0, 0.2], [0.0, 50.0]), 540.0, start_speed=0.0), 0.3)
     record, trace = run.record(), run.trace

@@ -1,4 +1,4 @@
-"""The observer in the loop of a simulation is the compiled one, bit for bit."""
+"""The observer in the loop of a simulation equals the compiled observer, bit for bit."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_flux_map_has_the_same_bits():
 
 
 def test_batches_of_observers_and_of_samples():
-    """Parameters, states and samples may each have lanes or not, in nested batches."""
+    """In nested batches, parameters, states and samples can each have lanes or no lanes."""
     data = record("servo-400w", 50)
     machine = MACHINES["servo-400w"]
     compiled = [

@@ -1,4 +1,4 @@
-"""Plants with a cage or a flux map, and their drives."""
+"""Plants with a cage or a flux map, and the drives of these plants."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MOTORS = {
 
 
 def course(speed, load=((0.0, 0.0),)):
-    """Return a course from shares of the rated speed and torque over time."""
+    """Return a course from speed and load over time, as shares of the rated values."""
     speeds, loads = np.array(speed), np.array(load)
     return Course(
         Profile(speeds[:, 0], BASE * speeds[:, 1]),
@@ -116,7 +116,7 @@ def test_the_current_inverts_the_flux_of_a_map(name):
 
 
 def test_a_cage_in_steady_state():
-    """Locked rotor with an impressed current: flux and torque of the equivalent circuit."""
+    """With locked rotor and impressed current, flux and torque equal the equivalent circuit's."""
     motor = MOTORS["cage"]
     plant = Plant(motor, Mechanics(1e9))
     slip = 15.0
@@ -191,7 +191,7 @@ def test_sensorless_with_wrong_resistances_and_offsets(wrong):
     run = simulate(drive, course(speed, [(2.0, 0.0), (2.0, 0.5)]), 2.6)
     t, trace = run.t, run.trace
     assert (trace.mode[t > 1.0] == RUNNING).all()
-    # A wrong R_R gives a wrong slip and speed; with a wrong R_s the loop is lightly damped.
+    # A wrong R_R gives a wrong slip and speed; with a wrong R_s, the loop has little damping.
     limit = 0.15 if "R_s" in wrong else 0.03
     assert abs(trace.speed[-1] - 1.5 * BASE) < limit * BASE
 

@@ -1,4 +1,4 @@
-"""Without an encoder: start at an unknown angle, load, reversal, reported loss of position."""
+"""Drives without an encoder: start at an unknown angle, load, reversal, loss of position."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_reversal_under_load_without_losing_the_position(drive):
 
 
 def test_hand_over_waits_for_a_small_standard_deviation(drive):
-    """It never happens with a standard deviation above five degrees or with a wrong angle."""
+    """The hand-over never happens with a standard deviation above five degrees or a wrong angle."""
     for seed in range(3):
         run = simulate(drive, course(((0, 0), (0.2, 0), (0.7, 0.3)), theta_e=2.0 * seed), 1.5, seed)
         (at,) = times(run, "observer in the loop")
@@ -74,7 +74,7 @@ def test_hand_over_waits_for_a_small_standard_deviation(drive):
 
 @pytest.mark.parametrize("load", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 def test_loss_of_position_at_standstill_is_reported(drive, load):
-    """At a lasting stop the position is unidentifiable: the drive reports it before it is wrong."""
+    """In a long stop, the position is unidentifiable; the drive reports this before an error."""
     speed = ((0, 0), (0.2, 0), (0.7, 0.3), (0.9, 0.3), (1.1, 0.0))
     run = simulate(drive, course(speed, ((0.8, 0), (0.8, load)), theta_e=1.0), 4.0, seed=1)
     lost = times(run, "position lost")
@@ -83,7 +83,7 @@ def test_loss_of_position_at_standstill_is_reported(drive, load):
     k = round(lost[0] / RATED.sample_time)
     std = np.degrees(run.trace.reading.theta_e_std)
     assert run.trace.mode[k] == 0
-    # In the loop, errors agree with the standard deviation; valid only while the rotor swings.
+    # In the loop, errors agree with the standard deviation; positions are valid only in motion.
     running = run.trace.mode == 1
     assert (np.abs(position_error(run))[running] < 3 * std[running] + 2.0).all()
     assert np.abs(position_error(run)[running]).max() < 10.0
@@ -97,7 +97,7 @@ def test_loss_of_position_at_standstill_is_reported(drive, load):
 def test_loss_is_reported_with_a_wrong_resistance_at_a_stop_under_load(factor):
     """The drive does not run for long without a valid position, which limits the error.
 
-    The wrong resistive drop lies across the flux: neither residual nor length reveals it.
+    The wrong resistive drop is perpendicular to the flux, so neither residual nor length shows it.
     """
     wrong = MACHINE.model_copy(update={"R_s": factor * MACHINE.R_s})
     drive = sensorless_drive(MACHINE, RATED, believed=wrong, noise=0.02)

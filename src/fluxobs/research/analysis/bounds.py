@@ -14,7 +14,7 @@ from .excitation import excitation
 
 
 def decay_rate(Gamma: ArrayLike, window: float, alpha: float, Phi_max: float) -> float:
-    """Return η [1/s] of the paper from (pe1): ``∫ over T of Φ Φᵀ ≥ α I``, |Φ| ≤ Phi_max."""
+    """Return the paper's decay rate η [1/s] for ``∫_T Φ Φᵀ ≥ α I`` (pe1) and |Φ| ≤ Phi_max."""
     values = np.linalg.eigvalsh(np.atleast_2d(np.asarray(Gamma, float)))
     smallest, largest = values[0], values[-1]
     share = smallest * alpha / (1 + largest**2 * window**2 * Phi_max**4)
@@ -30,13 +30,13 @@ def robust_bound(
     disturbance: float,
     t: ArrayLike,
 ) -> Array:
-    """``|λ̃(t)| ≤ √κ e^{ηT} (e^{-ηt} |λ̃(0)| + (1 - e^{-ηt}) ‖b‖/η)``, κ = λ_max/λ_min of Γ.
+    """Return ``√κ e^{ηT} (e^{-ηt} |λ̃(0)| + (1 - e^{-ηt}) ‖b‖/η) ≥ |λ̃(t)|``, κ = λ_max/λ_min of Γ.
 
     Parameters
     ----------
     Gamma : (n, n) array_like
     window, alpha, Phi_max : float
-        T [s] and α of (pe1), upper bound of |Φ_λ|.
+        T [s] and α of (pe1); upper bound of |Φ_λ|.
     initial_error, disturbance : float
         |λ̃(0)| [Wb], ‖b‖ [V].
     t : (rows,) array_like
@@ -60,7 +60,7 @@ def robust_bound(
 def disturbance(
     rows: Regressors, constants: Parametrisation, Gamma: Any, drift: Any, current_bias: Any
 ) -> Array:
-    """Return ``b = -(θ - Γ Φ_λ Φ_θᵀ θ_all)`` along a record, (rows, n) [V]; the paper prints +."""
+    """Return ``b = -(θ - Γ Φ_λ Φ_θᵀ θ_all)`` (rows, n) [V] along a record; the paper has a plus."""
     matrix = np.asarray(positive_definite("Gamma", Gamma, constants.n))
     theta = np.asarray(constants.constants(drift, current_bias))
     Phi_theta = np.asarray(constants.record(rows))
@@ -79,7 +79,7 @@ def bound_on_record(
     current_bias: Any,
     t: ArrayLike | None = None,
 ) -> Array:
-    """Return the bound [Wb] with all constants measured on a record, at its rows or at times t.
+    """Return the bound [Wb] with constants computed from a record, at its rows or at times t.
 
     ``t = inf`` gives the steady state.
     """

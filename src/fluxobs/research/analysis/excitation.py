@@ -35,12 +35,12 @@ class Excitation:
 
     @property
     def ratio(self) -> float:
-        """Smallest over largest eigenvalue in the worst window: 1 is perfect, 1e-5 ill-posed."""
+        """Smallest over largest eigenvalue in the worst window; 1 is perfect, 1e-5 is ill-posed."""
         return float((self.smallest / np.maximum(self.largest, 1e-300)).min())
 
 
 def gram(signal: ArrayLike, h: float, window: float) -> Array:
-    """Return the sliding ``∫_t^{t+T} Φ Φᵀ ds`` by the trapezoid rule, (windows, k, k)."""
+    """Return the sliding ``∫_t^{t+T} Φ Φᵀ ds`` (windows, k, k), computed by the trapezoid rule."""
     phi = np.asarray(signal, float)
     length = round(window / h)
     if length < 1 or length >= len(phi):
@@ -53,7 +53,7 @@ def gram(signal: ArrayLike, h: float, window: float) -> Array:
         )
     product = np.einsum("ki,kj->kij", phi, phi)
     area = (product[:-1] + product[1:]) / 2 * h
-    # Cumulative sums within blocks of one window: no differences of large sums.
+    # Cumulative sums restart in each block of one window, which avoids differences of large sums.
     count = len(area) - length + 1
     blocks = -(-len(area) // length)
     padded = np.zeros((blocks * length, *area.shape[1:]))
@@ -76,23 +76,23 @@ def excitation(
     signal : (rows, k) array_like
         Regressor.
     h, window : float
-        Sample time, length of the window [s].
+        Sample time and window length [s].
     scale : (k,) array_like, optional
-        Size of each unknown. It multiplies the regressor, which makes the eigenvalues per-unit and
-        comparable. Default 1.
+        Size of each unknown; default 1. The regressor is multiplied by these sizes, which makes the
+        eigenvalues per-unit and comparable.
     """
     phi = np.asarray(signal, float)
     values = np.linalg.eigvalsh(gram(phi if scale is None else phi * scale, h, window))
     # Rounding may make an eigenvalue slightly negative.
     smallest, largest = np.asarray(values[:, 0], float), np.asarray(values[:, -1], float)
-    # Report the window actually integrated: a whole number of steps.
+    # The integrated window is a whole number of steps.
     return Excitation(round(window / h) * h, np.maximum(smallest, 0.0), largest)
 
 
 def persistency(
     signal: ArrayLike, h: float, windows: Sequence[float], scale: ArrayLike | None = None
 ) -> list[tuple[float, float, float]]:
-    """Return (T, α, eigenvalue ratio) for each window length; α > 0 means excited within T."""
+    """Return (T, α, eigenvalue ratio) for each window length; α > 0 means excitation within T."""
     rows = []
     for window in windows:
         excited = excitation(signal, h, window, scale)

@@ -1,9 +1,10 @@
-"""Error of a gradient law, ``x' = N x + f + ψ (r - ψᵀx)``, integrated however stiff it is.
+"""Integrate the error of a gradient law, ``x' = N x + f + ψ (r - ψᵀx)``, at any stiffness.
 
-The laws of the paper have this form, with ψ = Ψ scaled by the root of the gain. Their rates |ψ|²
-reach 10⁷ 1/s and more, while the result depends only on how ψ turns. The integrator must therefore
-resolve ψ but not the rates: Radau IIA with three stages, of order five, L-stable. The generator is
-constant except for a term of rank one: a step costs the solution of three linear equations.
+The laws of the paper have this form, with ψ = Ψ scaled by the root of the gain. The rates |ψ|²
+reach 10⁷ 1/s and more, but the result depends only on how ψ turns. The integrator must therefore
+resolve ψ but not the rates. Radau IIA with three stages does this; it has order five and is
+L-stable. The generator is constant except for a term of rank one, so a step costs the solution of
+only three linear equations.
 
 References
 ----------
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike
 from ...core.arrays import Array
 
 _ROOT = np.sqrt(6.0)
-#: Nodes of a step, and weights of the stages.
+#: Nodes of a step and weights of the stages.
 NODES: Array = np.array([(4 - _ROOT) / 10, (4 + _ROOT) / 10, 1.0])
 _STAGES: Array = np.array(
     [
@@ -31,14 +32,14 @@ _STAGES: Array = np.array(
 )
 
 
-#: Steps per compiled call; records of any length share it.
+#: Steps per compiled call. Records of any length share one compilation.
 _BLOCK = 4096
 
 
 def flow_steps(
     N: ArrayLike, psi: ArrayLike, h: float, r: ArrayLike | None = None, f: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Return transition P and input g of every step, ``x₊ = P x + g``.
+    """Return the transition P and the input g of every step ``x₊ = P x + g``.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def flow_steps(
     k = len(generator)
     residual = np.zeros(psi.shape[:2]) if r is None else np.asarray(r, float)
     constant = np.zeros(k) if f is None else np.asarray(f, float)
-    # The stages without the term of rank one: X = M (1 ⊗ x) + h MA (...).
+    # Without the term of rank one, the stages are X = M (1 ⊗ x) + h MA (...).
     M = np.linalg.inv(np.eye(3 * k) - h * np.kron(_STAGES, generator))
     MA = (M @ np.kron(_STAGES, np.eye(k))).reshape(3, k, 3, k)
     start = M.reshape(3, k, 3, k).sum(axis=2)
@@ -89,7 +90,7 @@ def _block(P: jax.Array, g: jax.Array, x: jax.Array) -> jax.Array:
 
 
 def flow_states(P: Array, g: Array, x: Array) -> Array:
-    """Return the states after every step, (steps, k), from x before the first."""
+    """Return the states (steps, k) after every step, starting from the state x."""
     states = np.empty(g.shape)
     for at in range(0, len(g), _BLOCK):
         count = min(_BLOCK, len(g) - at)
@@ -101,7 +102,7 @@ def flow_states(P: Array, g: Array, x: Array) -> Array:
 
 
 def flow_product(P: Array) -> Array:
-    """Return the product of all steps in order of time, (k, k)."""
+    """Return the product (k, k) of all steps in order of time."""
     while len(P) > 1:
         odd = P[-1:] if len(P) % 2 else P[:0]
         P = np.concatenate([P[1::2] @ P[: len(P) - len(odd) : 2], odd])
@@ -109,14 +110,14 @@ def flow_product(P: Array) -> Array:
 
 
 def flow_joined(P: Array, times: int) -> Array:
-    """Return products of 2^times steps each; drop an incomplete last one."""
+    """Return the products of 2^times steps each; drop an incomplete last product."""
     for _ in range(times):
         P = P[1::2] @ P[: 2 * (len(P) // 2) : 2]
     return P
 
 
 def flow_growth(P: Array) -> Array:
-    """Return the logarithmic growth of a vector in every step, (steps,)."""
+    """Return the logarithmic growth (steps,) of a vector in every step."""
     x = np.full(P.shape[1], P.shape[1] ** -0.5)
     growth = np.empty(len(P))
     for k, step in enumerate(P):

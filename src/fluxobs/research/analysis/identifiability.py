@@ -1,4 +1,4 @@
-"""Identifiable unknowns: predicted from the constraint, checked on a record."""
+"""Predict the identifiable unknowns from the constraint and check the prediction on a record."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def observability_gramian(
     window: float,
     scale: ArrayLike | None = None,
 ) -> Array:
-    """Return ``∫ F(s,t)ᵀ Ψ Ψᵀ F(s,t) ds`` over the last window of a record, which ends at t.
+    """Return ``∫ F(s,t)ᵀ Ψ Ψᵀ F(s,t) ds`` over the last window of a record; t is the record's end.
 
-    The system is λ' = θ, y = Ψᵀ(λ, θ, …). The drift moves the flux, which makes more directions
-    visible than Ψ alone excites: at constant speed the Ψ of a PMSM has rank 3 of 5, while this
+    The system is λ' = θ, y = Ψᵀ(λ, θ, …). Because the drift moves the flux, more directions are
+    visible than Ψ alone excites: at constant speed the Ψ of a PMSM has rank 3 of 5, but this
     Gramian has full rank.
 
     Parameters
@@ -34,7 +34,7 @@ def observability_gramian(
         Leading axis time.
     constants : Parametrisation
     h, window : float
-        Sample time, length of the window [s].
+        Sample time and window length [s].
     scale : (n + n_θ,) array_like, optional
         Size of each unknown.
 
@@ -48,7 +48,7 @@ def observability_gramian(
     psi = np.array(constants.psi_record(rows))[-count:]
     n = constants.n
     age = h * np.arange(count - 1, -1, -1)
-    # Row s in terms of the state at t: λ(s) = λ(t) - (t - s) θ.
+    # Express row s in the state at t: λ(s) = λ(t) - (t - s) θ.
     psi[:, n : 2 * n] -= age[:, None] * psi[:, :n]
     if scale is not None:
         psi = psi * np.asarray(scale, float)
@@ -62,10 +62,10 @@ def immersion_gramian(
     current: ArrayLike,
     scale: ArrayLike,
 ) -> Array:
-    """Return ``∫ F(s,t)ᵀ H(s)ᵀ H(s) F(s,t) ds`` of the immersion over a record ending at t.
+    """Return ``∫ F(s,t)ᵀ H(s)ᵀ H(s) F(s,t) ds`` of the immersion over a record that ends at t.
 
-    Uniform observability, a lower bound for this Gramian over every window of one length, is what
-    the least squares needs; persistency of excitation of Ψ, which the paper asks for, is stronger.
+    The least squares needs uniform observability: a lower bound of this Gramian over every window
+    of one length. The paper requires persistency of excitation of Ψ, a stronger condition.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def immersion_gramian(
     h : float
         Sample time [s].
     volt_seconds, current : (rows, n) array_like
-        Volt-seconds of the interval that ends at each row [Wb]; current [A].
+        Volt-seconds of the interval that ends at each row [Wb]; current at the row [A].
     scale : (size,) array_like
         Size of each state.
 
@@ -92,17 +92,17 @@ def immersion_gramian(
 
 
 def invisible_from_gramian(gramian: ArrayLike, tolerance: float = 1e-10) -> Array:
-    """Return the directions invisible in a record, (N, k): relative eigenvalue ≤ `tolerance`."""
+    """Return the directions (N, k) invisible in a record: relative eigenvalue ≤ `tolerance`."""
     values, vectors = np.linalg.eigh(np.asarray(gramian, float))
     return np.asarray(vectors[:, values <= tolerance * values[-1]])
 
 
 def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parametrisation) -> Array:
-    """Return the directions in (λ, constants) that are invisible in every record, (N, k).
+    """Return the directions (N, k) of (λ, constants) that are invisible in every record.
 
-    With the current bias as an unknown, they are the null space of the Hessian, read as offsets
-    (r, s) of flux and bias. The printed parametrisation, if it has the y_b block, adds
-    (s, 0, -2 Q1 s, -Q2ᵀ s): it has more constants than the biases can produce (erratum 5).
+    With the current bias as an unknown, these directions are the null space of the Hessian, whose
+    vectors (r, s) are offsets of flux and bias. The printed parametrisation with the y_b block adds
+    (s, 0, -2 Q1 s, -Q2ᵀ s), because it has more constants than the biases can produce (erratum 5).
     """
     n, size = constants.n, constants.n + len(constants)
     columns = []
@@ -120,7 +120,7 @@ def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parame
             direction[3 * n : 4 * n] = -constraint.Q2.T @ s
             columns.append(direction)
         if not constants.with_b:
-            # The same identity with Q3 = 0: the null space of Q2ᵀ.
+            # If Q3 = 0, the invisible s are the null space of Q2ᵀ.
             _, singular, vt = np.linalg.svd(constraint.Q2.T)
             for s in vt[singular <= 1e-9 * max(singular[0], 1e-300)]:
                 direction = np.zeros(size)
@@ -140,7 +140,8 @@ class InvisibleComparison:
     ----------
     predicted, found : (N, k) ndarray
     angle : float
-        Largest principal angle between the two [rad]; NaN if their dimensions differ.
+        Largest principal angle between `predicted` and `found` [rad]; NaN if their dimensions
+        differ.
     """
 
     predicted: Array

@@ -1,8 +1,9 @@
-"""Stability of an adaptive law along a trajectory, which the paper's Remark 7 leaves open.
+"""Stability of an adaptive law along a trajectory: the open question of the paper's Remark 7.
 
-The error of Proposition 2 obeys ``χ' = (G_a - Γ Ψ Ψᵀ) χ``. On a periodic trajectory its Floquet
-multipliers decide stability. On any other its largest Lyapunov exponent does, which a record of
-finite length only approximates. Both numbers come with their uncertainty.
+The error of Proposition 2 obeys ``χ' = (G_a - Γ Ψ Ψᵀ) χ``. On a periodic trajectory, the error's
+Floquet multipliers decide stability. On any other trajectory, the error's largest Lyapunov exponent
+decides; a record of finite length only approximates this exponent. Multipliers and exponent are
+returned with their uncertainty.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ from ..regression.laws.base import positive_definite
 from ..regression.periodic import between
 from .flow import NODES, flow_growth, flow_joined, flow_product, flow_steps
 
-#: Double the steps a period until no exponent changes by more than this share, or this often.
+#: Relative change of an exponent below which the step doubling ends; largest number of doublings.
 CONVERGED, DOUBLINGS = 1e-5, 6
-#: Neighbouring steps are multiplied in pairs this often before the growth of a vector is computed.
+#: Number of times that neighbouring steps are multiplied in pairs before the growth is computed.
 _JOINED = 4
 
 
@@ -36,7 +37,8 @@ class GainStudy(NamedTuple):
     exponent : (k,) ndarray
         Largest growth rate [1/s]; for a periodic trajectory ``ln |multiplier| / period``.
     uncertainty : (k,) ndarray
-        Change of the exponent when the steps are halved; without a period, also when the record is.
+        Change of the exponent when the steps are halved, plus, without a period, the change when
+        the record is halved.
     """
 
     gains: Array
@@ -45,12 +47,12 @@ class GainStudy(NamedTuple):
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Where the exponent is below zero by more than its uncertainty."""
+        """True where the exponent is below zero by more than its uncertainty."""
         return self.exponent < -self.uncertainty
 
     @property
     def unstable(self) -> NDArray[np.bool_]:
-        """Where the exponent is above zero by more than its uncertainty."""
+        """True where the exponent is above zero by more than its uncertainty."""
         return self.exponent > self.uncertainty
 
     def multipliers(self, period: float) -> Array:
@@ -59,9 +61,9 @@ class GainStudy(NamedTuple):
 
 
 def balanced_error_system(constants: Parametrisation, Gamma: Any) -> tuple[Array, Array]:
-    """Return G_a in coordinates in which Γ is the identity, and the root L of ``Γ = L Lᵀ``.
+    """Return (G_a, L), with G_a in coordinates in which Γ is the identity, and ``Γ = L Lᵀ``.
 
-    There ψ = Lᵀ Ψ. The units of the constants affect neither the result nor the exponents.
+    In these coordinates ψ = Lᵀ Ψ. The units of the constants do not affect the exponents.
     """
     n, size = constants.n, constants.n + len(constants)
     root = np.linalg.cholesky(np.asarray(positive_definite("Gamma", Gamma, size)))
@@ -71,16 +73,16 @@ def balanced_error_system(constants: Parametrisation, Gamma: Any) -> tuple[Array
 
 
 def floquet_multipliers(steps: ArrayLike) -> Array:
-    """Return the eigenvalues of the product of one period's steps, (steps, N, N); largest first."""
+    """Return the eigenvalues of the product of one period's steps (steps, N, N), largest first."""
     values = np.linalg.eigvals(flow_product(np.asarray(steps, float)))
     return np.asarray(values[np.argsort(-np.abs(values))])
 
 
 def weighted_mean(values: ArrayLike) -> float:
-    """Return the mean under the weight ``exp(-1/(s (1 - s)))``, s from 0 to 1 along the values.
+    """Return the mean with the weight ``exp(-1/(s (1 - s)))``, where s runs from 0 to 1.
 
-    For a quasi-periodic signal it converges faster than any power of the length, the plain mean
-    only as one over the length (S. Das, Y. Saiki, E. Sander, J. A. Yorke, "Quantitative
+    For a quasi-periodic signal, this mean converges faster than any power of the length; the plain
+    mean converges as one over the length (S. Das, Y. Saiki, E. Sander, J. A. Yorke, "Quantitative
     quasiperiodicity", Nonlinearity 30, 2017, doi:10.1088/1361-6544/aa84c2).
     """
     signal = np.asarray(values, float)
@@ -90,9 +92,10 @@ def weighted_mean(values: ArrayLike) -> float:
 
 
 def largest_exponent(steps: ArrayLike, h: float) -> tuple[float, float]:
-    """Return the largest Lyapunov exponent [1/s], and its change when the record is halved.
+    """Return (largest Lyapunov exponent [1/s], its change when the record is halved).
 
-    Each step is h long. The first quarter lets the error turn into the direction that grows most.
+    Each step is h long. The first quarter is not used: there the error turns into the direction of
+    largest growth.
     """
     joined = flow_joined(np.asarray(steps, float), _JOINED)
     growth = flow_growth(joined) / (2**_JOINED * h)
@@ -109,12 +112,12 @@ def _steps(N: Array, psi: Array, h: float) -> Array:
 
 
 def periodic_nodes(psi: Array, steps: int) -> Array:
-    """Return ψ of one period at the nodes of `steps` steps, (steps, 3, N)."""
+    """Return ψ (steps, 3, N) of one period at the nodes of `steps` steps."""
     return np.stack([between(psi, steps, shift) for shift in NODES], axis=1)
 
 
 def record_nodes(psi: Array, substeps: int) -> Array:
-    """Return ψ of a record at the nodes of `substeps` steps a row, by splines, (steps, 3, N)."""
+    """Return ψ (steps, 3, N) of a record at the nodes of `substeps` steps a row, by splines."""
     steps = (len(psi) - 1) * substeps
     places = (np.arange(steps)[:, None] + NODES) / substeps
     return np.asarray(CubicSpline(np.arange(len(psi)), psi)(places))
@@ -128,14 +131,14 @@ def over_gain(
     Gamma: Any = 1.0,
     periodic: bool = True,
 ) -> GainStudy:
-    """Return the stability of Proposition 2 along a trajectory for the gains γ Γ.
+    """Return the stability of Proposition 2's law along a trajectory for the gains γ Γ.
 
     Parameters
     ----------
     psi : (rows, n + n_θ) array_like
-        Ψ in steps of h. If `periodic`, one period in steady state, whose last row is h before its
-        end (:func:`fluxobs.research.regression.periodic_regression`); otherwise a record that
-        resolves Ψ, the longer the better.
+        Ψ in steps of h. If `periodic`, give one period in steady state; its last row is h before
+        the end of the period (:func:`fluxobs.research.regression.periodic_regression`). Otherwise
+        give a long record that resolves Ψ.
     h : float
         Sample time [s].
     constants : Parametrisation
@@ -144,12 +147,12 @@ def over_gain(
     Gamma : number, vector or matrix
         Γ, the shape of the gain.
     periodic : bool
-        Compute Floquet multipliers if true, else the largest Lyapunov exponent.
+        If true, compute Floquet multipliers, else the largest Lyapunov exponent.
 
     Raises
     ------
     ModelError
-        Ψ is not finite, has the wrong width, or does not close although `periodic` is set.
+        If Ψ is not finite, has the wrong width, or does not close although `periodic` is set.
     """
     regressor = np.asarray(psi, float)
     N, root = balanced_error_system(constants, Gamma)
@@ -168,20 +171,20 @@ def over_gain(
 
 
 def _check_closed(psi: Array) -> None:
-    """Raise ModelError for a Ψ that jumps where the period starts again."""
+    """Raise ModelError if Ψ jumps from the end of the period to its start."""
     jump = np.abs(psi[0] - 2 * psi[-1] + psi[-2])
     inside = np.abs(np.diff(psi, n=2, axis=0)).max(axis=0)
     floor = np.maximum(1e-9 * np.abs(psi).max(axis=0), np.finfo(float).tiny)
     worst = float((jump / np.maximum(inside, floor)).max())
     if worst > 10:
         raise ModelError(
-            f"not periodic: at the end of the period the regressor bends {worst:.3g} times as much "
-            f"as inside; give one period in steady state, or periodic=False"
+            f"psi is not periodic: at the end of the period, it bends {worst:.3g} times as much as "
+            f"inside; give one period in steady state or periodic=False"
         )
 
 
 def _converge(exponent: Callable[[int], float], rows: int, size: float) -> tuple[float, float]:
-    """Double the steps until the exponent converges; return it and its last change."""
+    """Double the steps until the exponent converges; return (exponent, its last change)."""
     value = exponent(rows)
     change = np.inf
     for doubling in range(1, DOUBLINGS + 1):

@@ -1,8 +1,8 @@
-"""Gains from a record, balanced: all directions converge equally fast.
+"""Compute balanced gains from a record, with which all directions converge equally fast.
 
-A gradient observer converges as slowly as its least excited direction. The inverse of the
-regressor's mean square, used as gain, makes all directions equally fast. The record need not
-contain any bias; only its excitation counts.
+A gradient observer converges as slowly as its least excited direction. With the inverse of the
+regressor's mean square as gain, all directions converge equally fast. Only the excitation in the
+record matters; the record need not contain any bias.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ...errors import ModelError
 from ..regression import Parametrisation, Regressors
 from ..regression.laws.gradient import RepairedAdaptiveObserver, sensitivity_step
 
-#: Directions excited less than this share of the strongest get no higher gain.
+#: Least excitation of a direction relative to the strongest; it limits the gain of weak directions.
 MIN_EXCITATION = 1e-10
 
 
 def balanced_gain(regressor: ArrayLike, rate: float) -> Array:
-    """Return ``rate · (mean Φ Φᵀ)⁻¹``: every direction converges at about `rate` [1/s]."""
+    """Return ``rate · (mean Φ Φᵀ)⁻¹``; every direction then converges at about `rate` [1/s]."""
     phi = np.asarray(regressor, float)
     size = np.sqrt(np.mean(phi**2, axis=0))
     if not (size > 0).all():
@@ -37,7 +37,7 @@ def balanced_gain(regressor: ArrayLike, rate: float) -> Array:
 
 
 def balanced_basis(gramian: ArrayLike, window: float) -> Array:
-    """Return the basis in which ``gramian/window`` is the identity; DREM then has Δ ≈ 1."""
+    """Return the basis in which ``gramian/window`` is the identity and therefore DREM has Δ ≈ 1."""
     W = np.asarray(gramian, float) / window
     size = 1 / np.sqrt(np.diag(W))
     root = np.linalg.cholesky(size[:, None] * W * size)
@@ -63,7 +63,7 @@ def balanced_repaired(
     constants_rate: float,
     skip: int,
 ) -> RepairedAdaptiveObserver:
-    """Return the repaired observer with balanced Γ and G; the first `skip` rows are transient."""
+    """Return the repaired observer with balanced Γ and G; omit `skip` rows of transient."""
     Gamma: Any = balanced_gain(np.asarray(rows.Phi_flux)[skip:], flux_rate)
     omega = _omega(jnp.asarray(Gamma), rows, constants, h)
     G = balanced_gain(np.asarray(omega)[skip:], constants_rate)

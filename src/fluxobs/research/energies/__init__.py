@@ -1,1 +1,1 @@
-"""Machines as energies: dynamics and forces by differentiation, relations, trajectories."""
+"""Machines as energies, whose derivatives give dynamics and forces; relations and trajectories."""

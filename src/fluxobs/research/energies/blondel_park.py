@@ -1,13 +1,14 @@
-"""Blondel-Park transformability: does a rotation remove the position from the energy?
+"""Blondel-Park transformability: whether a rotation removes the position from the energy.
 
 The paper asks how this property relates to Assumption 1. A machine is transformable if each
 coordinate q_k has a constant skew U_k with ``H_E(λ, q) = H_0(e^{-U q} λ) + V(q)``. For linear
-magnetics this means ``L′(q) = U L(q) - L(q) U`` and ``μ′(q) = U μ(q)``. Differentiated, for any
-energy::
+magnetics, transformability means ``L′(q) = U L(q) - L(q) U`` and ``μ′(q) = U μ(q)``. For any
+energy, the derivative with respect to q_k gives::
 
     ∂i/∂q_k + (∂i/∂λ) U_k λ - U_k i = 0        for all (λ, q)
 
-which is linear in U_k. Neither property implies the other; see the table in docs/constraints.md.
+This identity is linear in U_k. Transformability and Assumption 1 do not imply each other; see the
+table in docs/constraints.md.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ class BlondelPark:
     U : (n_M, n_E, n_E) ndarray
         Best-fitting skew matrices [1/rad or 1/m].
     residual : (n_M,) ndarray
-        Rms of the identity over the rms of ``∂i/∂q_k``: about 1e-15 if it holds, else 0.1 … 1.
+        Rms of the identity over the rms of ``∂i/∂q_k``; about 1e-15 if the identity holds,
+        otherwise 0.1 … 1.
     """
 
     transformable: bool
@@ -50,8 +52,8 @@ def blondel_park(
     i = np.asarray(jax.vmap(system.current)(flux, position))
     by_flux = np.asarray(jax.vmap(jax.jacfwd(system.current, 0))(flux, position))
     by_position = np.asarray(jax.vmap(jax.jacfwd(system.current, 1))(flux, position))
-    # Balance ports of different size by their currents. The change of the currents with position
-    # would not do: it may be zero. Weigh rows: a skew U stays skew only under a common scale.
+    # Balance ports of different size by the rms of their currents; that of ∂i/∂q may be zero. Weigh
+    # rows, not columns: a skew U stays skew only under a common scale.
     size = np.sqrt(np.mean(i**2, axis=0))
     weight = 1 / np.maximum(size, max(1e-9 * size.max(), 1e-300))
     pairs = [(a, b) for a in range(n) for b in range(a + 1, n)]

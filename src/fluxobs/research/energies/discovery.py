@@ -1,4 +1,4 @@
-"""Check Assumption 1 of the paper, and discover relations, from the energies alone."""
+"""Check Assumption 1 of the paper and discover relations, using only the energies."""
 
 from __future__ import annotations
 
@@ -18,20 +18,19 @@ from ...errors import ModelError
 from ...machines.model.constraint import QuadraticConstraint, invisible_offsets
 from .system import ElectromechanicalSystem
 
-#: A relation is exact if its singular value is below this share of the largest, ...
+#: Singular value, as a share of the largest, below which a relation is exact (with :data:`GAP`).
 FLOOR = 1e-9
-#: ... and the singular values fall by this factor at the edge of the null space.
+#: Factor by which the singular values must fall at the edge of the null space.
 GAP = 1e10
-#: A relation whose singular value is below this share holds approximately: the machine, or the
-#: range of its samples, is close to one with an exact relation. Machines without one are above
-#: 1e-3.
+#: A relation whose singular value is below this share holds approximately: another parameter or
+#: sample range would give an exact relation. Machines without any relation have values above 1e-3.
 NEAR = 1e-5
 #: If halving a range changes the size of an approximate relation by more than this factor, the
-#: range decides whether it holds; otherwise a parameter does.
+#: range decides whether the relation holds; otherwise a parameter decides.
 RANGE_DECIDES = 0.8
 #: Relative residual on other states above which a relation is rejected.
 HELD_OUT = 1e-9
-#: Coefficients below this share of the largest of a relation are rounding errors.
+#: Coefficients below this share of a relation's largest coefficient are rounding errors.
 ROUNDING = 1e-8
 
 
@@ -57,12 +56,12 @@ class Polynomial:
 
     @property
     def degree_in_flux(self) -> int:
-        """1: linear in λ; 2: quadratic. Observers can use no higher degree."""
+        """Degree in λ: 1 is linear, 2 is quadratic. Observers cannot use a higher degree."""
         n = self.exponents.shape[1] // 2
         return int(self.exponents[:, :n].sum(axis=1).max())
 
     def terms(self, flux: Array, current: Array) -> Array:
-        """Return the value of every term, (..., terms)."""
+        """Return the values (..., terms) of all terms."""
         x = np.concatenate([flux, current], axis=-1)[..., None, :]
         return np.asarray(self.coefficients * np.prod(x**self.exponents, axis=-1))
 
@@ -88,7 +87,8 @@ class Approximate:
     ----------
     relation : Polynomial
     size : float
-        Rms value over that of the largest combination of the same monomials, each of rms one.
+        Rms of the relation over the largest rms of a combination of its monomials, scaled to rms
+        one.
     """
 
     relation: Polynomial
@@ -106,24 +106,25 @@ class Discovery:
     relations : tuple of QuadraticConstraint
         All independent quadratic relations that involve the flux.
     affine : tuple of Polynomial
-        Linear relations between flux and current (a winding plane without magnets). Removed first,
-        since every product with them would be a quadratic relation.
+        Linear relations between flux and current (a winding plane without magnets). They are
+        removed first, because every product with a linear relation would be a quadratic relation.
     higher : tuple of Polynomial
-        Relations of degree 3 or 4 that do not follow from the quadratic ones; only on request.
+        Relations of degree 3 or 4 that do not follow from quadratic relations; found only on
+        request.
     approximate : tuple of Approximate
-        Relations that hold only approximately, or may do so; each with its size.
+        Relations that hold, or may hold, only approximately, with their sizes.
     warning : str
-        What is doubtful, and what would decide it; empty without doubt.
+        Says which relations are doubtful and what would decide; empty if no relation is doubtful.
     margin : float
-        Factor by which the singular values fall at the edge of the null space; measures certainty.
-        At least 1e10 if there is a null space, usually around 1e13. Otherwise the largest factor
-        between neighbours, which was too small.
+        Factor by which the singular values fall at the edge of the null space; a measure of
+        certainty. If there is a null space, the factor is at least 1e10 and usually around 1e13.
+        Otherwise it is the largest factor between neighbouring values, which is too small.
     smallest : float
-        Smallest singular value over the largest; without relations, the distance from having one.
+        Smallest singular value over the largest; without relations, the distance from a relation.
     residual : float
         Largest relative residual on states not used to find the relations.
     invisible : (2n, k) ndarray
-        Offsets of (λ, i) that no quadratic relation can see.
+        Offsets of (λ, i) that change no quadratic relation.
     """
 
     name: str
@@ -142,7 +143,7 @@ class Discovery:
 
 
 def relative_residual(constraint: QuadraticConstraint, flux: Array, current: Array) -> Array:
-    """Return |w| over the sum of its terms' magnitudes, (...)."""
+    """Return |w| (...) divided by the sum of the magnitudes of its terms."""
     c = constraint
     flux, current = np.asarray(flux, float), np.asarray(current, float)
     size = (
@@ -182,7 +183,7 @@ def check_constraint(
     Raises
     ------
     ModelError
-        A relation does not hold; the message gives its residual and the state.
+        If a relation does not hold. The message gives the residual and the state.
     """
     relations = [constraint] if isinstance(constraint, QuadraticConstraint) else list(constraint)
     if not relations:
@@ -192,7 +193,7 @@ def check_constraint(
     for number, relation in enumerate(relations):
         if relation.n != system.n_E:
             raise ModelError(
-                f"{system.name}: the relation has {relation.n} ports, the system {system.n_E}"
+                f"{system.name}: the relation has {relation.n} ports, the system has {system.n_E}"
             )
         residual = relative_residual(relation, flux, current)
         at = int(np.argmax(residual))
@@ -200,7 +201,7 @@ def check_constraint(
         if not residual[at] <= tolerance:
             which = f"relation {number + 1}" if len(relations) > 1 else "the relation"
             raise ModelError(
-                f"{system.name}: {which} does not hold: residual {residual[at]:.3g} of its terms "
+                f"{system.name}: {which} does not hold: relative residual {residual[at]:.3g} "
                 f"at flux {flux[at].round(6).tolist()}, position {position[at].round(6).tolist()}; "
                 f"median {np.median(residual):.3g} over {samples} random states"
             )
@@ -215,16 +216,16 @@ def discover_constraint(
 ) -> Discovery:
     """Find all quadratic relations between flux and current that hold at any position.
 
-    Draws random states, computes currents by differentiation, and finds the null space of the
-    monomials ``{λλ, λi, ii, λ, i, 1}`` by singular values; docs/theory.md, section 9.
+    The function draws random states, computes currents by differentiation, and finds the null space
+    of the monomials ``{λλ, λi, ii, λ, i, 1}`` by singular values (docs/theory.md, section 9).
 
     Parameters
     ----------
     system : ElectromechanicalSystem
     degree : {2, 3, 4}
-        Highest degree of relations to seek that do not follow from lower ones.
+        Highest degree of the relations to find.
     ports : sequence of int, optional
-        Measured ports, from 0; default all.
+        Numbers of the measured ports, from 0; default all.
     seed : int
         Seed of the random states.
 
@@ -235,7 +236,7 @@ def discover_constraint(
     Raises
     ------
     ModelError
-        Invalid degree or ports.
+        If degree or ports are invalid.
     """
     if degree not in (2, 3, 4):
         raise ModelError(f"degree must be 2, 3 or 4, got {degree}")
@@ -271,7 +272,7 @@ def discover_constraint(
         null = space.vectors
         if d == 2:
             margin, smallest = space.margin, float(space.relative[-1])
-            # The square of a nearly affine relation would look exact.
+            # The square of an almost exact affine relation would look exact.
             if approximate:
                 null = null[:, :0]
             else:
@@ -298,9 +299,9 @@ def discover_constraint(
                 higher.append(polynomial)
     if residual > HELD_OUT:
         raise ModelError(
-            f"{system.name}: a relation fits the states it was found on but fails on others, by "
-            f"{residual:.1g} of its terms: too badly scaled. Set flux_range and position_range to "
-            f"the operating range of the machine"
+            f"{system.name}: a relation fits the states on which it was found, but fails on "
+            f"others (relative residual {residual:.1g}): the states are badly scaled; set "
+            f"flux_range and position_range to the operating range of the machine"
         )
     invisible = invisible_offsets(quadratic) if quadratic else np.eye(2 * n)
     return Discovery(
@@ -324,10 +325,10 @@ class FeatureDiscovery:
     Attributes
     ----------
     relations : tuple of Polynomial
-        Relations in the features, by their names; none follows from one of lower degree.
+        Relations in the features' names; no relation follows from a relation of lower degree.
     margin : float
         Factor by which the singular values fall at the edge of the null space of the highest
-        degree; below 1e10 no relation is reported.
+        degree. Below 1e10, no relation is reported.
     smallest : float
         Smallest singular value over the largest.
     """
@@ -345,16 +346,16 @@ def discover_in_features(
 ) -> FeatureDiscovery:
     """Find polynomial relations between functions of flux and current.
 
-    Saturation hides relations that a change of variables uncovers: with
-    ``z_k = -ln(1 - λ_k/ψ_s)`` the saturated switched reluctance machine obeys the relation of the
-    unsaturated one (docs/constraints.md).
+    Saturation hides relations, which a change of variables can uncover: with
+    ``z_k = -ln(1 - λ_k/ψ_s)``, the saturated switched reluctance machine obeys the relation of the
+    unsaturated machine (docs/constraints.md).
 
     Parameters
     ----------
     system : ElectromechanicalSystem
     features : mapping of str to callable
-        Name → ``f(flux (states, n), current (states, n))`` → (states,), with NumPy. Only these
-        variables are used; list λ and i themselves if they belong.
+        Name → NumPy function ``f(flux (states, n), current (states, n))`` → (states,). Only these
+        variables are used; add λ and i as features if they are needed.
     degree : {1, 2, 3, 4}
         Highest degree in the features.
     seed : int
@@ -363,7 +364,7 @@ def discover_in_features(
     Raises
     ------
     ModelError
-        Invalid degree, or a feature that is not finite or has the wrong shape.
+        If the degree is invalid, or a feature is not finite or has the wrong shape.
 
     Examples
     --------
@@ -376,7 +377,7 @@ def discover_in_features(
         raise ModelError(f"degree must be 1, 2, 3 or 4, got {degree}")
     names = tuple(features)
     if not names:
-        raise ModelError("features: at least one is needed")
+        raise ModelError("features must contain at least one feature")
     count = 40 * len(list(combinations_with_replacement(range(len(names) + 1), degree)))
     flux, current, _ = _sample(system, count, seed)
     columns = []
@@ -410,7 +411,7 @@ def discover_in_features(
 def _polynomial(
     vector: Array, exponents: NDArray[np.int_], scale: Array, names: tuple[str, ...] = ()
 ) -> Polynomial:
-    """Return the relation of a scaled null vector; rounding dropped, first coefficient one."""
+    """Return a scaled null vector's relation without rounding errors; coefficient 1 is one."""
     used = np.abs(vector) > ROUNDING * np.abs(vector).max()
     coefficients = vector[used] / np.prod(scale ** exponents[used], axis=1)
     return Polynomial(exponents[used], coefficients / coefficients[0], names)
@@ -434,8 +435,8 @@ def _exponents(
 ) -> NDArray[np.int_]:
     """Return the monomials up to a degree in the free variables.
 
-    They are sorted by degree in flux, then by degree. `fluxes` variables come first; by default
-    half of them.
+    The monomials are sorted by degree in flux, then by degree. The first `fluxes` variables are
+    fluxes; by default, half of the variables.
     """
     rows = []
     for d in range(degree + 1):
@@ -465,13 +466,13 @@ def _no_flux(exponents: NDArray[np.int_]) -> NDArray[np.bool_]:
 
 
 def _rms(columns: Array) -> Array:
-    """Return the rms of each column; one for a column of zeros (current of an open port)."""
+    """Return the rms of each column, or one for a column of zeros (current of an open port)."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     return np.where(size > 0, size, 1.0)
 
 
 class _NullSpace(NamedTuple):
-    """Exact and approximate null vectors as columns, and singular values over the largest."""
+    """Exact and approximate null vectors as columns; singular values over the largest one."""
 
     vectors: Array
     near: Array
@@ -510,7 +511,7 @@ def _approximate(
 
 
 def _halved(system: ElectromechanicalSystem, name: str) -> ElectromechanicalSystem:
-    """Return the system with half the range of positions or fluxes, around the same middle."""
+    """Return the system with its range of positions or fluxes halved around the middle."""
     low, high = np.asarray(getattr(system, name))
     bounds = np.array([3 * low + high, low + 3 * high]) / 4
     halved: ElectromechanicalSystem = eqx.tree_at(
@@ -524,9 +525,9 @@ def _doubt(
     approximate: tuple[Approximate, ...],
     relative: Callable[[ElectromechanicalSystem], Array],
 ) -> str:
-    """Say what would decide about approximate relations: a wider range, or another parameter.
+    """Say what would decide whether approximate relations hold: another range or another parameter.
 
-    `relative` returns a system's singular values of the monomials, over the largest.
+    `relative` returns the singular values of a system's monomials, divided by the largest.
     """
     values = relative(system)
     at = int(np.argmin(np.abs(values - approximate[0].size)))
@@ -535,13 +536,13 @@ def _doubt(
         for name in ("position_range", "flux_range")
     }
     if change["flux_range"] > 1 / RANGE_DECIDES:
-        remedy = "fluxes are sampled far beyond those that the position affects: narrow flux_range"
+        remedy = "the position has no effect on most of the sampled fluxes: narrow flux_range"
     elif change["position_range"] < RANGE_DECIDES:
-        remedy = "positions are sampled in too narrow a range: widen position_range"
+        remedy = "the range of the sampled positions is too narrow: widen position_range"
     else:
         remedy = (
-            "a parameter is close to a value at which a relation appears or vanishes: move it away "
-            "from there"
+            "a parameter is close to a value at which a relation appears or vanishes: change this "
+            "parameter"
         )
     sizes = ", ".join(f"{candidate.size:.1e}" for candidate in approximate)
     number = "a relation" if len(approximate) == 1 else f"{len(approximate)} relations"
@@ -554,8 +555,7 @@ def _doubt(
 def _without_affine(
     x: Array, scale: Array
 ) -> tuple[list[int], tuple[Polynomial, ...], tuple[Approximate, ...]]:
-    """Return the variables left after elimination by the affine relations, these relations, and
-    approximate affine ones."""
+    """Return (variables not eliminated by affine relations, affine relations, approximate ones)."""
     variables = x.shape[1]
     exponents = _affine_exponents(variables)
     space = _null_space(_monomials(x, exponents))
@@ -569,7 +569,7 @@ def _without_affine(
 
 
 def _reduced(null: Array, last: NDArray[np.bool_]) -> Array:
-    """Return the reduced echelon form of the null vectors (columns); pivots in `last` come last."""
+    """Return the reduced echelon form of the null vectors (columns), with pivots in `last` last."""
     order = np.argsort(last, kind="stable")
     rows = null.T[:, order].copy()
     at = 0

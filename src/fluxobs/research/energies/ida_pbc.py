@@ -1,4 +1,4 @@
-"""Passivity-based controller of the levitation benchmark, on the consistent model."""
+"""Passivity-based controller of the levitation benchmark for the consistent model."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ class IdaPbc(eqx.Module):
     """Interconnection and damping assignment for two opposed coils (the paper's Section V-B).
 
     States are core fluxes φ [Wb], position q [m] and angular momentum p = J Θ̇ [kg m²/s]. With
-    constant references the closed loop has the energy :meth:`shaped_energy` and the dissipation
+    constant references, the closed loop has the energy :meth:`shaped_energy` and the dissipation
     ``diag(R/(N c_1), R/(N c_2), R_a/D², 0)``.
 
     Parameters
     ----------
     machine : MagLev2DOF
     alpha, beta, R_a, G : float
-        α > 0 > β, R_a > 0, G > 0.
+        Conditions: α > 0 > β, R_a > 0, G > 0.
     flux_reference : callable
-        t → φ_2* [Wb], >= 0. At zero the shaped energy has no minimum and the loop is unstable.
+        Function t → φ_2* [Wb], >= 0. At φ_2* = 0, the shaped energy has no minimum and the loop is
+        unstable.
     position_reference : callable
-        t → q* [m].
+        Function t → q* [m].
     form : {"corrected", "printed"}
-        Printed: the third term of z̃₂ as in the paper, D (q - q*) (erratum 8).
+        "printed" uses the paper's third term of z̃₂, D (q - q*) (erratum 8).
 
     References
     ----------

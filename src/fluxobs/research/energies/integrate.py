@@ -1,4 +1,4 @@
-"""Integrate a system under control with an adaptive solver, sampled uniformly."""
+"""Integrate a system under control with an adaptive solver and sample the result uniformly."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ Control = Callable[[Any, State], jax.Array]
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Samples of a simulation; flux and position between them are cubic (Hermite).
+    """Samples of a simulation; between samples, flux and position are cubic (Hermite).
 
-    The cubic is itself a trajectory: its currents come from the energies, and every relation holds
-    exactly between samples too.
+    The cubic is also a trajectory: its currents come from the energies, so every relation holds
+    exactly between samples as well.
 
     Attributes
     ----------
     t : (rows,) ndarray
         Uniform times [s].
     flux, flux_rate, current : (rows, n_E) ndarray
-        [Wb], [V], [A].
+        In [Wb], [V] and [A].
     position, velocity, momentum : (rows, n_M) ndarray
     voltage : (rows, m) ndarray
         Control voltage at the samples [V].
@@ -56,9 +56,9 @@ class Trajectory:
         return float(self.t[1] - self.t[0])
 
     def inside(self, places: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return flux, flux rate and current inside each interval, (rows - 1, places, n_E).
+        """Return (flux, flux rate, current) inside each interval, each (rows - 1, places, n_E).
 
-        `places` are fractions of the interval, from 0 to 1.
+        `places` are positions in the interval, from 0 to 1.
         """
         flux, rate = _hermite(self.flux, self.flux_rate, self.h, places)
         position, _ = _hermite(self.position, self.velocity, self.h, places)
@@ -82,10 +82,10 @@ def _hermite(value: Array, rate: Array, h: float, places: ArrayLike) -> tuple[Ar
 
 
 def volt_seconds(flux: ArrayLike, h: float, drift: ArrayLike) -> Array:
-    """Return the exact ``∫ y_m dt`` over the interval ending at each row: ``λ_k - λ_{k-1} - h θ``.
+    """Return the exact ``∫ y_m dt = λ_k - λ_{k-1} - h θ`` over the interval that ends at each row.
 
-    `drift` is (n,), or (rows, n) for the interval that ends at each row. The first row has no
-    interval and is zero.
+    `drift` is (n,), or (rows, n) with one value for each interval. The first row has no interval;
+    its result is zero.
     """
     x = np.asarray(flux, float)
     step = np.diff(x, axis=0, prepend=x[:1])
@@ -117,15 +117,15 @@ def integrate(
     initial : State
         State at t[0].
     scale : State, optional
-        Sizes of the states, to which the solver's tolerance is relative. Default: the ranges of the
-        system, and 1 for the momentum.
+        Sizes of the states, to which the solver's tolerance is relative. The default is the ranges
+        of the system, and 1 for the momentum.
     load : (n_M,) array_like, optional
         Constant load forces.
     position_limit : (low, high), optional
-        Range of the position, such as the air gap; leaving it is an error.
+        Allowed range of the position, such as the air gap. A position outside raises an error.
     stiff : bool
-        Use an implicit fifth-order solver (Kvaerno5); if false an explicit one (Tsit5), cheaper if
-        all time scales of the closed loop are similar.
+        Use an implicit fifth-order solver (Kvaerno5). If false, use an explicit solver (Tsit5),
+        which is faster if all time scales of the closed loop are similar.
     rtol : float
         Tolerance of the adaptive step, relative to `scale`.
     max_steps : int
@@ -133,7 +133,7 @@ def integrate(
     Raises
     ------
     ModelError
-        The position reached its limit, or the solver failed; the message says when and where.
+        If the position reaches its limit or the solver fails. The message says when and where.
     """
     times = np.asarray(t, float)
     if times.ndim != 1 or len(times) < 2 or np.ptp(np.diff(times)) > 1e-6 * (times[1] - times[0]):
@@ -170,12 +170,12 @@ def integrate(
         if limit is not None and solution.result == diffrax.RESULTS.event_occurred:
             low, high = (float(bound) for bound in limit)
             raise ModelError(
-                f"{system.name}: the position left ({low:g}, {high:g}) {place}. The air gap is "
-                f"closed there; choose gentler references or other gains"
+                f"{system.name}: the position left ({low:g}, {high:g}) {place}, where the air gap "
+                f"is closed; choose slower references or other gains"
             )
         raise ModelError(
-            f"{system.name}: the solver failed {place} ({solution.result}). Is the closed loop "
-            f"stable, and its time scale near the sample time?"
+            f"{system.name}: the solver failed {place} ({solution.result}); check that the closed "
+            f"loop is stable and that its time scale is near the sample time"
         )
     signals = _signals(system, control, jnp.asarray(times), saved, force)
     rate, current, velocity, voltage = (np.asarray(signal) for signal in signals)
@@ -184,7 +184,7 @@ def integrate(
 
 
 def poles(system: ElectromechanicalSystem, control: Control, state: State) -> Array:
-    """Return the closed loop's eigenvalues [1/s], linearised at a state, t = 0; rightmost first."""
+    """Return the eigenvalues [1/s] of the loop linearised at a state and t = 0, rightmost first."""
 
     def rate(x: jax.Array) -> jax.Array:
         here = State(*jnp.split(x, cuts))
@@ -193,7 +193,7 @@ def poles(system: ElectromechanicalSystem, control: Control, state: State) -> Ar
     cuts = np.cumsum([system.n_E, system.n_M])
     x = jnp.concatenate([jnp.asarray(values, float) for values in state])
     jacobian = np.asarray(jax.jit(jax.jacfwd(rate))(x))
-    # Balance: the states differ by many powers of ten.
+    # Balance the matrix, because the states differ by many powers of ten.
     values = np.linalg.eigvals(matrix_balance(jacobian)[0])
     return np.asarray(values[np.argsort(-values.real)])
 
@@ -214,7 +214,7 @@ def _solve(
     def unscaled(state: State) -> State:
         return State(*(value * size for value, size in zip(state, sizes, strict=True)))
 
-    @jax.jit  # traced once, although the solver uses it in many places
+    @jax.jit  # traced once, although the solver calls it in many places
     def field(t: Any, scaled: State, _: Any) -> State:
         state = unscaled(scaled)
         rate = system.derivative(state, control(t, state), load)

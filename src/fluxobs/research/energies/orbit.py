@@ -14,7 +14,7 @@ from .system import ElectromechanicalSystem, State
 
 #: A period is closed if its ends differ by less than this share of the state's scale.
 CLOSED = 1e-9
-#: Relative step of the finite differences; limit of the Newton steps.
+#: Relative step of the finite differences; largest number of Newton steps.
 _STEP, _MAX_STEPS = 1e-5, 20
 
 
@@ -24,10 +24,10 @@ class PeriodicOrbit(NamedTuple):
     Attributes
     ----------
     trajectory : Trajectory
-        From 0 to the period, both ends included.
+        Samples from 0 to the period, including both ends.
     multipliers : (states,) ndarray of complex
-        Floquet multipliers of the closed loop: the orbit attracts if all are inside the unit
-        circle.
+        Floquet multipliers of the closed loop. The orbit attracts if all multipliers are inside the
+        unit circle.
     """
 
     trajectory: Trajectory
@@ -48,7 +48,7 @@ def periodic_orbit(
     Parameters
     ----------
     system, control
-        As for :func:`integrate`; `control` has this period.
+        Arguments of :func:`integrate`; `control` must have this period.
     period : float
         [s].
     samples : int
@@ -63,7 +63,7 @@ def periodic_orbit(
     Raises
     ------
     ModelError
-        No orbit was found, or the simulation failed.
+        If no orbit is found or the simulation fails.
     """
     t = np.arange(samples + 1) * (period / samples)
     sizes = np.concatenate([np.asarray(size, float) for size in scale])
@@ -88,7 +88,7 @@ def periodic_orbit(
         jacobian = np.array(slopes).T
         if np.abs(gap).max() < CLOSED:
             return PeriodicOrbit(trajectory, np.linalg.eigvals(jacobian).astype(complex))
-        # Least squares: a multiplier of one makes the equations singular.
+        # Use least squares, because a multiplier of one makes the equations singular.
         x = x + np.linalg.lstsq(np.eye(len(x)) - jacobian, gap, rcond=1e-12)[0]
     raise ModelError(
         f"{system.name}: no orbit of {period:g} s near the guess; after {_MAX_STEPS} Newton steps "

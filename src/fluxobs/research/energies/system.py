@@ -1,11 +1,11 @@
-"""Electromechanical systems, defined by their energies; differentiation gives the dynamics.
+"""Electromechanical systems, defined by their energies, whose derivatives give the dynamics.
 
-``H_E(λ, q)`` and ``H_M(q, p)`` define everything (equation (1) of the paper)::
+``H_E(λ, q)`` and ``H_M(q, p)`` define the dynamics (equation (1) of the paper)::
 
     i = ∇_λ H_E        λ̇ = -R i + B u
     q̇ = ∇_p H_M        ṗ = -∇_q H_E - ∇_q H_M - R_M q̇ + F_L
 
-The electric-field dual has the same form: read charge for λ, voltage for i, conductance for R.
+The electric-field dual has the same form, with charge as λ, voltage as i and conductance as R.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def linear_magnetics(
     inductance: Callable[[jax.Array], jax.Array],
     magnet_flux: Callable[[jax.Array], jax.Array] | None = None,
 ) -> Energy:
-    """Return H_E of ``λ = L(q) i + μ(q)``: ``½ (λ - μ)ᵀ L⁻¹ (λ - μ)``, the paper's Remark 1."""
+    """Return ``H_E = ½ (λ - μ)ᵀ L⁻¹ (λ - μ)`` of ``λ = L(q) i + μ(q)`` (the paper's Remark 1)."""
 
     def magnetic_energy(flux: jax.Array, position: jax.Array) -> jax.Array:
         own_flux = flux if magnet_flux is None else flux - magnet_flux(position)
@@ -54,7 +54,7 @@ def linear_magnetics(
 
 
 def inertia(mass: Any) -> Energy:
-    """Return H_M for constant inertia, ``½ pᵀ M⁻¹ p``; `mass`: a number, or one per coordinate."""
+    """Return ``H_M = ½ pᵀ M⁻¹ p`` for constant inertia; `mass` is (n_M,) or one number."""
     masses = real("mass", mass)
     if not (np.asarray(masses) > 0).all():
         raise ModelError(f"inertia must be positive, got {masses.tolist()}")
@@ -75,20 +75,20 @@ class ElectromechanicalSystem(eqx.Module):
     mechanical_energy : callable
         ``H_M(position (n_M,), momentum (n_M,))`` → scalar [J].
     R : (n_E, n_E) array_like
-        Resistance [Ω]; symmetric part positive semi-definite. A vector means a diagonal matrix.
+        Resistance [Ω] with positive semi-definite symmetric part. A vector means a diagonal matrix.
     R_M : (n_M, n_M) array_like
-        Mechanical damping, with the same conditions.
+        Mechanical damping, with the conditions of R.
     B : (n_E, m) array_like, optional
-        Input matrix of full column rank; default identity.
+        Input matrix of full column rank; default identity matrix.
     flux_range, position_range : (low, high), optional
-        Operating range, from which random states are drawn; each bound is a number, or one per
-        port. Defaults ±1 Wb and ±π.
+        Operating range, from which random states are drawn. Each bound is one number, or one number
+        per port. The defaults are ±1 Wb and ±π.
     name : str
 
     Raises
     ------
     ModelError
-        An energy is not scalar or not finite within the ranges, or a matrix does not fit.
+        If an energy is not scalar or not finite within the ranges, or a matrix does not fit.
 
     Examples
     --------
@@ -163,8 +163,8 @@ class ElectromechanicalSystem(eqx.Module):
                 raise ModelError(
                     f"{self.name}: {name} or its gradient is not finite at "
                     f"{np.asarray(first[at]).round(6).tolist()}, "
-                    f"{np.asarray(second[at]).round(6).tolist()}; is that within the machine's "
-                    f"operating range? See flux_range and position_range"
+                    f"{np.asarray(second[at]).round(6).tolist()}; set flux_range and "
+                    f"position_range to the machine's operating range"
                 )
 
     @property
@@ -178,7 +178,7 @@ class ElectromechanicalSystem(eqx.Module):
         return len(self.R_M)
 
     def random_states(self, rng: np.random.Generator, count: int) -> tuple[jax.Array, jax.Array]:
-        """Return flux (count, n_E) and position (count, n_M), uniform within their ranges."""
+        """Return (flux (count, n_E), position (count, n_M)), drawn uniformly from their ranges."""
         states = []
         for bounds in (self.flux_range, self.position_range):
             low, high = np.asarray(bounds)
@@ -186,21 +186,21 @@ class ElectromechanicalSystem(eqx.Module):
         return states[0], states[1]
 
     def current(self, flux: jax.Array, position: jax.Array) -> jax.Array:
-        """Return ``i = ∇_λ H_E`` [A], (n_E,)."""
+        """Return the current ``i = ∇_λ H_E`` (n_E,) [A]."""
         flux, position = double("flux", flux), double("position", position)
         return jnp.asarray(jax.grad(self.magnetic_energy, 0)(flux, position))
 
     def force(self, flux: jax.Array, position: jax.Array) -> jax.Array:
-        """Return the force or torque of electrical origin, ``-∇_q H_E``, (n_M,)."""
+        """Return the force or torque ``-∇_q H_E`` (n_M,) of electrical origin."""
         flux, position = double("flux", flux), double("position", position)
         return jnp.asarray(-jax.grad(self.magnetic_energy, 1)(flux, position))
 
     def velocity(self, position: jax.Array, momentum: jax.Array) -> jax.Array:
-        """Return ``q̇ = ∇_p H_M``, (n_M,)."""
+        """Return the velocity ``q̇ = ∇_p H_M`` (n_M,)."""
         return jnp.asarray(jax.grad(self.mechanical_energy, 1)(position, momentum))
 
     def energy(self, state: State) -> jax.Array:
-        """Return ``H_E + H_M`` [J]."""
+        """Return the energy ``H_E + H_M`` [J]."""
         return self.magnetic_energy(state.flux, state.position) + self.mechanical_energy(
             state.position, state.momentum
         )
@@ -219,7 +219,7 @@ class ElectromechanicalSystem(eqx.Module):
         )
 
     def power(self, state: State, voltage: jax.Array, load: jax.Array | None = None) -> Power:
-        """Return the rate of stored energy, and supplied and dissipated power [W]."""
+        """Return the rate of stored energy, the supplied power and the dissipated power [W]."""
         rate = self.derivative(state, voltage, load)
         _, stored = jax.jvp(self.energy, (state,), (rate,))
         i = self.current(state.flux, state.position)

@@ -1,10 +1,10 @@
-"""Closed loop: IDA-PBC from the flux, position and momentum of an observer, with sensor offsets.
+"""Closed loop of IDA-PBC with an observer's flux, position and momentum, under sensor offsets.
 
-Section V-B controls with the true state. Here the controller gets the true state only at the start,
-as from a test bench's sensor, and later the observer's estimate. The offsets jump during the run.
-The plant is simulated between samples; the voltages are held. The four-pole bearing is two
-independent pairs of coils. The electrostatic actuator is the same pair with charge for flux and
-voltage for current.
+In Section V-B, the controller uses the true state. Here the controller gets the true state only at
+the start, as from a sensor on a test bench, and later the observer's estimate. The offsets jump
+during the run. The plant is simulated between samples with held voltages. The four-pole bearing is
+two independent pairs of coils. The electrostatic actuator is such a pair with charge instead of
+flux and voltage instead of current.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from .section_v import levitation_observer
 
 #: Plant steps per sample.
 SUBSTEPS = 20
-#: Time without a break in validity after which the estimate takes over, in units of the rig.
+#: Duration of uninterrupted validity after which the estimate is used. Unit of the rig.
 TRUST = 1.0
-#: Standard deviation over flux below which the loop uses an estimate that is not valid yet.
+#: Relative standard deviation below which the loop uses an estimate that is not yet valid.
 CERTAIN = 0.05
-#: Displacement over the gap beyond which the body is lost.
+#: Displacement, divided by the gap, above which the body is lost.
 LOST = 0.98
 
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """A pair of opposed electrodes or coils under IDA-PBC, with its sensor errors.
+    """A pair of opposed electrodes or coils under IDA-PBC, with sensor errors.
 
     Attributes
     ----------
@@ -58,13 +58,13 @@ class Rig:
     machine : MagLev2DOF
     law : IdaPbc
     stiffness, damping : float
-        Spring [N/m] and friction [N s/m] besides the field.
+        Spring [N/m] and friction [N s/m], in addition to the field.
     unit : float
-        Duration of one "second" of Section V-B [s]; all times scale with it.
+        Duration of one "second" of Section V-B [s]; all times scale with this unit.
     typical : float
-        Flux of the bias [Wb].
+        Bias flux [Wb].
     current_bias, voltage_bias : (2, 2) ndarray
-        Offsets before and after the jump [A], [V].
+        Current offsets [A] and voltage offsets [V] before and after the jump.
     noise : (float, float)
         Standard deviations of a current and a mean voltage sample.
     """
@@ -91,7 +91,7 @@ class Rig:
         return x[:2] * (m.g + np.array([-1.0, 1.0]) * x[2]) / np.array([m.k_1, m.k_2])
 
     def controller(self) -> Callable[[float, Any, Any, Any], Array]:
-        """Return the law: voltages from t, core fluxes, position and velocity."""
+        """Return the control law, which maps t, core fluxes, position and velocity to voltages."""
         m, law = self.machine, jax.jit(lambda *state: self.law(*state))
         return lambda t, phi, q, speed: np.asarray(law(t, phi, q, m.J / m.D * speed))
 
@@ -103,16 +103,16 @@ class LoopResult:
     Attributes
     ----------
     handed_over : float or None
-        Time at which the estimate took over, in units of the rig; None if it never did.
+        Time at which the controller started to use the estimate [unit of the rig]; None if never.
     lost : float or None
-        Time at which the body touched a pole; None if it never did.
+        Time at which the body touched a pole; None if it never touched.
     before, after : float
-        Rms distance from the reference over the gap: from hand-over to jump, and at the end;
-        inf if the body was lost earlier.
+        Rms distance from the reference, divided by the gap: between hand-over and jump, and at the
+        end. inf if the body was lost earlier.
     peak : float
-        Largest displacement over the gap after the jump.
+        Largest displacement after the jump, divided by the gap.
     flux_error : float
-        Rms flux error at the end, over the flux.
+        Rms flux error at the end, divided by the flux.
     valid : float
         Share of samples reported as valid after the hand-over.
     """
@@ -130,15 +130,16 @@ class Estimator(Protocol):
     """Observer in the loop."""
 
     def step(self, v: Array, current: Array) -> tuple[Array, Array, bool]:
-        """Return flux, current bias, and whether they are valid, after a sample."""
+        """Return (flux, current bias, whether they are valid) after a sample."""
         ...
 
 
 class FromLeastSquares:
     """Least squares for drift and current bias.
 
-    After a restart the loop cannot wait for `valid`, which takes another memory. It uses the
-    estimate once its standard deviation is small; until then it integrates with the last drift.
+    After a restart, the loop cannot wait for `valid`, which needs another memory. The loop uses the
+    estimate as soon as its standard deviation is small; until then it integrates with the last
+    drift.
     """
 
     def __init__(self, rig: Rig, h: float) -> None:
@@ -166,7 +167,7 @@ class FromLeastSquares:
 
 
 class FromRepairedLaw:
-    """Proposition 2 repaired, on the exact regression; it cannot detect its own errors."""
+    """Repaired Proposition 2 on the exact regression; this law cannot detect its own errors."""
 
     def __init__(self, rig: Rig, h: float, nominal: tuple[Array, Array]) -> None:
         m = rig.machine
@@ -198,7 +199,7 @@ class FromRepairedLaw:
 
 
 def _plant(rig: Rig, h: float) -> Callable[[Any, Any], Any]:
-    """Return the map to the state (φ_1, φ_2, q, q̇) after h under held voltages."""
+    """Return the map from state (φ_1, φ_2, q, q̇) and held voltages to the state after h."""
     m = rig.machine
     k, c = jnp.array([m.k_1, m.k_2]), jnp.array([m.c_1, m.c_2])
     sign, mass = jnp.array([-1.0, 1.0]), m.J / m.D**2
@@ -229,7 +230,7 @@ def simulate(
     stop: float = 30.0,
     seed: int = 0,
 ) -> LoopResult:
-    """Run a rig with an observer; times in units of the rig, the sample time in seconds."""
+    """Run a rig with an observer. Times are in units of the rig, but h is in seconds."""
     m, unit = rig.machine, rig.unit
     plant, estimator = _plant(rig, h), make(rig, h)
     tracker = LevitationTracker(m, h, 100.0 / unit)
@@ -290,7 +291,7 @@ def simulate(
 
 
 def nominal_record(rig: Rig, h: float, duration: float = 15.0) -> tuple[Array, Array]:
-    """Return volt-seconds and currents of the loop on the true state, without offsets."""
+    """Return (volt-seconds, currents) of the loop that uses the true state, without offsets."""
     plant, control, x = _plant(rig, h), rig.controller(), rig.start
     v, i = [], []
     for n in range(round(duration * rig.unit / h)):
@@ -305,7 +306,7 @@ def _rig(
 ) -> Rig:
     """Return a rig with bias current [A] and a controller scaled from scenario S5.
 
-    Displacements scale with the gap, times with √(mass · gap / force), offsets with the bias.
+    Displacements scale with the gap, times with √(mass · gap / force), and offsets with the bias.
     """
     m, knospe = machine, benchmark()[0]
 
@@ -355,7 +356,7 @@ def _rig(
 
 
 def levitation() -> Rig:
-    """Return Knospe's benchmark as in S5."""
+    """Return Knospe's benchmark as in scenario S5."""
     return _rig("levitation", benchmark()[0], 0.5)
 
 
@@ -366,10 +367,10 @@ def bearing_axis() -> Rig:
 
 
 def electrostatic() -> Rig:
-    """Return the library's plate between two electrodes, ε A = 3.5e-19 F m, driven through 220 MΩ.
+    """Return the library's plate between two electrodes: ε A = 3.5e-19 F m, resistors of 220 MΩ.
 
     Charge replaces flux, voltage replaces current. The large resistors make the charge controllable
-    within a sample; through the library's 1 MΩ the voltage source would fix it.
+    within a sample; with the library's 1 MΩ, the voltage source would fix the charge.
     """
     k = EPSILON_0 * 4e-8
     machine = MagLev2DOF(k_1=k, k_2=k, g=2e-6, R=1.0, N=2.2e8, D=1.0, J=1e-9, c_1=1.0, c_2=1.0)
@@ -377,13 +378,13 @@ def electrostatic() -> Rig:
 
 
 def noisy(rig: Rig) -> Rig:
-    """Return the rig with the noise of Section V's study: 1 mA and 10 mV at 1 kHz, scaled."""
+    """Return the rig with the scaled noise of Section V's study: 1 mA and 10 mV at 1 kHz."""
     scale = rig.current_bias[0, 0] / CURRENT_BIAS[0, 0]
     volts = rig.voltage_bias[1, 0] / VOLTAGE_BIAS[1, 0]
     return replace(rig, name=f"{rig.name}, noise", noise=(1e-3 * scale, 1e-2 * volts))
 
 
-#: Sample time in units of the rig [s]: 2 ms for the levitation.
+#: Sample time in units of the rig. For the levitation, it is 2 ms.
 SAMPLE = 2e-3
 
 
@@ -393,7 +394,7 @@ def rigs() -> tuple[Rig, ...]:
 
 
 def study(rig: Rig) -> dict[str, LoopResult]:
-    """Run all observers on a rig; return observer → result."""
+    """Run all observers on a rig; return a mapping from observer to result."""
     h = SAMPLE * rig.unit
     nominal = nominal_record(rig, h)
     return {

@@ -1,9 +1,9 @@
-"""Runs of the paper's two laws, converged in the step although their gains make them very stiff.
+"""Runs of the paper's two very stiff laws, with steps small enough for convergence.
 
-With the printed gains the rates reach 10⁵ 1/s and more, while the errors of interest last for
-seconds. Not the estimate but the error is integrated: it obeys a linear equation, whose steps need
-not resolve the rates (:mod:`fluxobs.research.analysis.flow`). Between rows the regressor is a cubic
-spline.
+With the printed gains, the rates reach 10⁵ 1/s and more, but the errors of interest last for
+seconds. The module therefore integrates the error instead of the estimate. The error obeys a linear
+equation, whose steps need not resolve the rates (:mod:`fluxobs.research.analysis.flow`). Between
+rows, the regressor is a cubic spline.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from ..regression import Parametrisation, Regressors
 from ..regression.laws.base import positive_definite
 from .levitation import FilteredRecord, LevitationRecord
 
-#: The substeps of a row are doubled until no error moves by more than this share of the largest.
+#: Change of an error, as a share of the largest error, below which the doubling of substeps ends;
+#: largest number of substeps.
 CONVERGED, MAX_SUBSTEPS = 1e-3, 16
 
 
@@ -31,7 +32,7 @@ class ConvergedRun(NamedTuple):
     error : (rows, N) ndarray
         Errors of flux [Wb] and, for the adaptive law, of the constants.
     change : float
-        Largest change when the substeps were last doubled, over the largest error.
+        Largest change at the last doubling of the substeps, over the largest error.
     """
 
     error: Array
@@ -39,7 +40,7 @@ class ConvergedRun(NamedTuple):
 
 
 class _Span(NamedTuple):
-    """Rows between jumps: ψ and residual in balanced coordinates, constant input, true state."""
+    """Rows between jumps: ψ and residual in balanced coordinates, constant input, error jump."""
 
     psi: Array
     r: Array
@@ -54,10 +55,10 @@ def converged_run(
     constants: Parametrisation | None,
     skip: int,
 ) -> ConvergedRun:
-    """Return the error of Proposition 2 (Proposition 1 if `constants` is None) from zero estimates.
+    """Return the error of Proposition 2 (or 1 if `constants` is None), starting at zero estimates.
 
-    The regression is used from row `skip` on, as in :func:`fluxobs.research.regression.laws.run`;
-    until then the estimate integrates volt-seconds.
+    The regression is used from row `skip` on, as in :func:`fluxobs.research.regression.laws.run`.
+    Until then, the estimate integrates the volt-seconds.
     """
     n = record.flux.shape[1]
     if constants is None:

@@ -1,4 +1,4 @@
-"""Erratum 6: Ψ is persistently exciting, yet Proposition 2 is unstable at every gain."""
+"""Erratum 6: Ψ is persistently exciting, but Proposition 2 is unstable at every gain."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..regression.laws import (
 from .pmsm import counter_example as trajectory
 
 GAINS = tuple(10.0**k for k in range(-3, 5))
-#: Samples per period of the multipliers, steps per period of the runs.
+#: Samples per period for the multipliers; steps per period for the runs.
 SAMPLES, STEPS = 256, 4000
 PERIODS = 30
 
@@ -31,7 +31,7 @@ class CounterExample:
     Attributes
     ----------
     alpha : float
-        Smallest eigenvalue of ``∫ Ψ Ψᵀ`` over a period; > 0 is persistently exciting.
+        Smallest eigenvalue of ``∫ Ψ Ψᵀ`` over a period; Ψ is persistently exciting if it is > 0.
     gains, multipliers : ndarray
         Largest |Floquet multiplier| for each gain.
     errors : dict
@@ -45,14 +45,14 @@ class CounterExample:
 
 
 def study() -> CounterExample:
-    """Compute the multipliers, and run the printed and repaired laws from zero for 30 periods."""
+    """Compute the multipliers and run the printed and repaired laws for 30 periods, from zero."""
     coarse = trajectory(SAMPLES)
     constants = Parametrisation(coarse.constraint, "voltage-bias", 1.0)
     psi = np.asarray(constants.psi_record(coarse.rows))
     alpha = float(np.linalg.eigvalsh(coarse.h * psi.T @ psi)[0])
     stability = over_gain(psi, coarse.h, constants, GAINS)
 
-    # Two samples per step; the first of a period is the last of the one before.
+    # Two samples per step. The first sample of a period is the last sample of the previous period.
     fine = trajectory(2 * STEPS)
     count = np.arange(2 * STEPS * PERIODS + 1) % (2 * STEPS)
     rows = fine.rows.part(count)

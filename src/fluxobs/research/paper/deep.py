@@ -55,13 +55,13 @@ def _scalar(results: Mapping[str, Any]) -> list[str]:
     limits = [multipliers[-1] for multipliers in results["multipliers"].values()]
     return [
         "## Proposition 2 is false on the paper's own example",
-        "S5 with the paper's seven unknowns and a scalar gain. The unit of each unknown makes the "
-        "rms of its regressor one. Ψ is persistently exciting; smallest eigenvalue of its mean "
-        f"square: {results['alpha']:.1e}. The table shows the largest |Floquet multiplier| over "
-        "the period, also with other units of the drift, which the proposition leaves open. "
-        f"Unstable at {sum(value > 1 for value in every)} of {len(every)} gains. At the highest "
-        "gain, beyond which the multiplier no longer changes, it is at least "
-        f"{min(limits):.3f}: no γ_min exists.",
+        "S5 has the paper's seven unknowns and a scalar gain. Each unknown has the unit in which "
+        "the rms of its regressor is one. Ψ is persistently exciting: the smallest eigenvalue of "
+        f"its mean square is {results['alpha']:.1e}. The table shows the largest |Floquet "
+        "multiplier| over the period, also for other units of the drift, because the proposition "
+        f"does not fix the units. The law is unstable at {sum(value > 1 for value in every)} of "
+        f"{len(every)} gains. Above the highest gain, the multiplier no longer changes; there it "
+        f"is at least {min(limits):.3f}, so no γ_min exists.",
         table(["unit of the drift", *(f"γ = {gain:.0e}" for gain in results["gains"])], rows),
     ]
 
@@ -86,12 +86,12 @@ def _later(courses: Mapping[str, Any], observability: Mapping[str, Any]) -> list
     ]
     return [
         "## Observers published later",
-        "Flux error over the largest flux, rms before the jump (or half way) and at the end; every "
-        "observer at 100 samples a second on the exact regression.",
+        "The table shows the rms flux error over the largest flux, before the jump (or half time) "
+        "and at the end. Every observer gets 100 samples per second of the exact regression.",
         table(["observer", *titles], rows),
         "The least squares on the immersion needs uniform observability instead of persistent "
-        "excitation: a lower bound of its Gramian over every window of one length. In the worst "
-        "second before the jump:",
+        "excitation: a lower bound of its Gramian over every window of one length. The table shows "
+        "the worst second before the jump:",
         table(
             [
                 "scenario",
@@ -114,11 +114,11 @@ def _errata(results: Mapping[str, Any]) -> list[str]:
     return [
         "## The levitation as printed",
         f"The literal model under the printed controller grows at "
-        f"{results['literal_growth']:.3g} 1/s. Poles of the consistent model in S2 with z̃₂ "
-        f"corrected: {rightmost(results['poles'])} 1/s; as printed: "
-        f"{rightmost(results['printed_poles'])} 1/s. Smallest curvature of the shaped energy, "
-        f"per-unit: {results['stiffness']:.1e} with the bias flux of S2, "
-        f"{results['stiffness_without_flux']:.0e} with φ* = 0: no minimum.",
+        f"{results['literal_growth']:.3g} 1/s. In S2, the consistent model has the poles "
+        f"{rightmost(results['poles'])} 1/s with corrected z̃₂ and "
+        f"{rightmost(results['printed_poles'])} 1/s with printed z̃₂. The smallest per-unit "
+        f"curvature of the shaped energy is {results['stiffness']:.1e} with the bias flux of S2 "
+        f"and {results['stiffness_without_flux']:.0e} with φ* = 0, where no minimum exists.",
     ]
 
 
@@ -127,7 +127,7 @@ def _time(value: float | None, otherwise: str) -> str:
 
 
 def _error_or_dash(value: float) -> str:
-    """Return an error, or a dash without one: not handed over, or lost before."""
+    """Return an error, or a dash if the rig was not handed over or was lost before."""
     return error_text(value) if np.isfinite(value) else "–"
 
 
@@ -145,10 +145,11 @@ def _loops(results: Mapping[str, Any]) -> list[str]:
     ]
     return [
         "## Closed loop",
-        "IDA-PBC from an observer's flux, position and momentum; bias flux modulated as in S5. The "
-        "true state is used until the observer is trusted. The offsets jump at 15, the run ends at "
-        "30. Times are in units of the rig (1 s for the levitation), distances are over the gap. "
-        "With the true state the law follows its reference as well as before the jump.",
+        "IDA-PBC uses an observer's flux, position and momentum; the bias flux is modulated as in "
+        "S5. IDA-PBC uses the true state until the observer is trusted. The offsets jump at time "
+        "15, the run ends at 30. Times are in units of the rig (1 s for the levitation), distances "
+        "are divided by the gap. With the true state, the jump does not increase the distance "
+        "from the reference.",
         table(
             [
                 "rig",

@@ -39,7 +39,7 @@ COLOURS = {
     "DREM, finite time": ORANGE,
     "least squares": BLUE,
 }
-#: Curves that others cover are drawn first and wide; those on top of them are dashed.
+#: Wide lines are drawn first, for curves below other curves. Curves on top are dashed.
 WIDE = {"linewidth": 3.5, "alpha": 0.5, "zorder": 1}
 DASHED = {"linestyle": "--", "zorder": 3}
 LINES: dict[str, dict[str, Any]] = {
@@ -88,7 +88,7 @@ def _courses(
         )
     axes.axvline(jump, color=GREY, linewidth=0.6, linestyle=":")
     axes.set_xlim(0, courses["voltage model"].t[-1])
-    axes.set_xlabel("t [s]    dotted: the biases jump")
+    axes.set_xlabel("t [s]    dotted line: jump of the biases")
 
 
 def _legend(axes: Axes) -> None:
@@ -144,7 +144,7 @@ ADAPTIVE = (
 
 
 def _as_printed(axes: Axes, course: ErrorCourse, values: Any, jump: float) -> None:
-    """Draw one curve as in the paper: linear, from zero."""
+    """Draw one curve as in the paper, on a linear axis that starts at zero."""
     axes.plot(course.t, values, color=BLUE)
     axes.axvline(jump, color=GREY, linewidth=0.6, linestyle=":")
     axes.set_xlim(0, course.t[-1])
@@ -154,14 +154,16 @@ def _as_printed(axes: Axes, course: ErrorCourse, values: Any, jump: float) -> No
 
 
 def _columns(runs: Sequence[ScenarioResult], printed: str, other: str) -> list[Any]:
-    """Return the columns to draw: the printed law on every scenario, another on the last."""
+    """Return the columns to draw: the law `printed` on every scenario, `other` on the last."""
     return [(run, printed) for run in runs] + [(runs[-1], other)]
 
 
 def _figure_2(runs: Sequence[ScenarioResult]) -> Figure:
     columns = _columns(runs, "robust, printed gain", "robust, balanced gain")
     figure, axes = _new(len(columns))
-    figure.suptitle("As the paper's Figure 2: norm of the robust flux observer error", fontsize=10)
+    figure.suptitle(
+        "Like the paper's Figure 2: norm of the robust flux observer's error", fontsize=10
+    )
     for panel, (run, name) in zip(axes[0], columns, strict=True):
         course = run.courses[name]
         _as_printed(panel, course, run.largest_flux * course.flux, run.jump)
@@ -173,7 +175,7 @@ def _figure_2(runs: Sequence[ScenarioResult]) -> Figure:
 def _figure_3(runs: Sequence[ScenarioResult]) -> Figure:
     columns = _columns(runs, "adaptive, printed gain", "adaptive, repaired")
     figure, axes = _new(len(columns), 2)
-    figure.suptitle("As the paper's Figure 3: adaptive flux observer", fontsize=10)
+    figure.suptitle("Like the paper's Figure 3: adaptive flux observer", fontsize=10)
     for column, (run, name) in enumerate(columns):
         course = run.courses[name]
         _as_printed(axes[0, column], course, run.largest_flux * course.flux, run.jump)
@@ -195,7 +197,9 @@ def _baselines(run: ScenarioResult) -> Figure:
     ]
     _courses(axes[0, 0], run.courses, names, run.jump)
     axes[0, 0].set_ylim(FLOOR, 1e3)
-    axes[0, 0].set_title(f"{run.scenario.name}: observers the paper argues against, and others")
+    axes[0, 0].set_title(
+        f"{run.scenario.name}: observers that the paper argues against, and others"
+    )
     axes[0, 0].set_ylabel(_FLUX)
     _legend(axes[0, 0])
     return figure
@@ -242,7 +246,7 @@ def _counter(counter: CounterExample) -> Figure:
     for name, errors in counter.errors.items():
         colour = {"printed, γ_a = 1": RED, "repaired, Γ = G = 1": GREEN}.get(name, ORANGE)
         right.semilogy(np.arange(len(errors)), np.maximum(errors, FLOOR), color=colour, label=name)
-    right.set_title("the same trajectory, from zero")
+    right.set_title("errors on this trajectory, from zero")
     right.set_ylim(1e-9, 1e6)
     right.set_xlabel("periods")
     right.set_ylabel("|λ̂ - λ|")
@@ -274,7 +278,7 @@ SCENARIO_FIGURES = tuple(_SCENARIOS)
 def draw_scenarios(
     out: Path, runs: Sequence[ScenarioResult], formats: Sequence[str], names: Sequence[str]
 ) -> None:
-    """Draw the named levitation figures, one panel per scenario; baselines of the last one."""
+    """Draw the named levitation figures, one panel per scenario; baselines only for the last."""
     _write(out, {name: partial(_SCENARIOS[name], runs) for name in names}, formats)
 
 

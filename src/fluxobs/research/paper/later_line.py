@@ -1,8 +1,8 @@
 """Observers published after the paper, compared with ours on the paper's example.
 
-All get the same samples and, except for the immersion, the same regression, exact on samples. Gains
-and weights are the best choices we know: gains balanced by the excitation before the jump, data
-weighted by the true residual of the regression.
+All observers get the same samples and, except for the immersion, the same regression, which is
+exact on samples. Gains and weights are the best choices that we know: the excitation before the
+jump balances the gains, and the true residual of the regression weights the data.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from .section_v import (
 )
 from .studies import with_noise
 
-#: Memory of the estimators that forget [s].
+#: Memory of the estimators with forgetting [s].
 MEMORY = 1.0
-#: Memory of all estimators that forget under noise [s].
+#: Memory of all estimators with forgetting under noise [s].
 NOISE_MEMORY = 0.5
 #: Time at which the references come to rest in the study of interval excitation [s].
 REST = 20.0
@@ -62,7 +62,7 @@ class Case:
 
 
 def cases() -> list[Case]:
-    """Return S1, S3 (weakly excited), S5; S5 with noise, moving offsets, interval excitation."""
+    """Return S1, S3 (weakly excited), S5, and S5 with noise, moving offsets and early rest."""
 
     def case(title: str, record: LevitationRecord) -> Case:
         rows, v = thinned(record, LS_SAMPLE_TIME)
@@ -88,7 +88,7 @@ def cases() -> list[Case]:
 
 
 def courses(case: Case) -> dict[str, ErrorCourse]:
-    """Return the flux error over the largest flux, for every observer."""
+    """Return the flux error divided by the largest flux for every observer."""
     record, h = case.record, LS_SAMPLE_TIME
     memory = NOISE_MEMORY if case.noise else MEMORY
     at, _ = thinned(record, h)
@@ -131,7 +131,7 @@ def courses(case: Case) -> dict[str, ErrorCourse]:
         for name, observer in observers.items()
     }
     if case.noise:
-        # 1 mA per sample; 10 mV at 1 kHz averaged over a sample.
+        # 1 mA per sample, and 10 mV at 1 kHz, averaged over a sample.
         noise_std = (1e-3, 1e-2 * np.sqrt(record.h / h))
         observer = levitation_observer(record.machine, h, NOISE_MEMORY, noise_std)
         estimates = observer.run(current=case.current, volt_seconds=case.volt_seconds)
@@ -148,11 +148,11 @@ class Observability:
     Attributes
     ----------
     least : float
-        Smallest eigenvalue over the largest of the Gramian, scaled to a unit diagonal, in the worst
-        window of :data:`MEMORY`.
+        Smallest over largest eigenvalue of the Gramian, scaled to a unit diagonal, in the worst
+        window of length :data:`MEMORY`.
     flux_std : float
-        Standard deviation of the flux over the flux, in the worst window, for 1 mA of current noise
-        at 100 Hz; the current bias is unknown within 5 mA.
+        Standard deviation of the flux, divided by the flux, in the worst window with 1 mA of
+        current noise at 100 Hz and a current bias unknown within 5 mA.
     """
 
     least: float

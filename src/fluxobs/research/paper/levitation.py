@@ -32,17 +32,17 @@ VOLTAGE_BIAS = np.array([[0.0, 0.0], [0.002, 0.0002]])
 ROBUST_GAIN = 1e4
 ADAPTIVE_GAIN = (1e20, 1e20, 1e20, 1e20, 2e13, 2e13, 20.0)
 
-#: Our own choices, which the paper does not give: G of the controller, initial flux of both cores
-#: [Wb], and modulation frequency of the reference flux [rad/s].
+#: Our choices, because the paper does not give them: G of the controller, initial flux of both
+#: cores [Wb], modulation frequency of the reference flux [rad/s].
 G_OF_PAPER, INITIAL_FLUX, MODULATION = 1e4, 1e-5, 7.0
-#: Frequency of the moving offsets [rad/s]: as with temperature, but faster.
+#: Frequency of the moving offsets [rad/s], faster than a change with temperature.
 OFFSET_SPEED = 0.1
 #: Samples per second on a periodic orbit.
 SAMPLES = 2048 / (2 * np.pi)
 
 
 def _fading(t: jax.Array, until: jax.Array) -> jax.Array:
-    """Return one until a time, then fade to zero over about a second."""
+    """Return one until a time, then a value that decreases to zero within about a second."""
     return jax.nn.sigmoid((until - t) * 10)
 
 
@@ -79,11 +79,11 @@ class LevitationScenario:
     alpha, G : float
         Controller parameters; β = -α.
     bias_current : float
-        Current that makes the reference flux φ* in the middle of the gap [A].
+        Current that gives the reference flux φ* in the middle of the gap [A].
     depth : float
-        Depth of modulation of the reference flux, at :data:`MODULATION`.
+        Modulation depth of the reference flux at the frequency :data:`MODULATION`.
     initial_flux : float
-        Initial flux of both cores [Wb]; NaN for the reference.
+        Initial flux of both cores [Wb]; NaN means the reference flux.
     excited_until : float
         Time at which the references come to rest [s].
     """
@@ -99,7 +99,7 @@ class LevitationScenario:
 
     @property
     def period(self) -> float:
-        """Period of all references [s]: multiples of 5 rad/s, or of 1 rad/s if modulated at 7."""
+        """Common period of the references [s]: 2π/5, or 2π if the flux is modulated."""
         return 2 * np.pi / (1.0 if self.depth else 5.0)
 
 
@@ -121,7 +121,7 @@ SCENARIOS = {
 
 
 class _Control(eqx.Module):
-    """The controller in the coordinates of the system: linkages c φ, momentum p/D."""
+    """The controller in the system's coordinates, with linkages c φ and momentum p/D."""
 
     law: IdaPbc
     c: jax.Array
@@ -133,18 +133,18 @@ class _Control(eqx.Module):
 
 @dataclass(frozen=True, eq=False)
 class LevitationRecord:
-    """Measured and true signals in rows h apart; fluxes are core fluxes.
+    """Measured and true signals, with one row per sample time h; fluxes are core fluxes.
 
     Attributes
     ----------
     jump : float
         Time at which the biases change [s].
     drift, current_bias : (rows, 2) ndarray
-        True values: over the interval that ends at each row, and at the row.
+        True values: drift over the interval that ends at each row, current bias at the row.
     current : (rows, 2) ndarray
         Measured current, with bias [A].
     volt_seconds : (rows, 2) ndarray
-        ∫ (-R i_m + u_m)/N dt over the interval that ends at each row, exact [Wb].
+        Exact ∫ (-R i_m + u_m)/N dt over the interval that ends at each row [Wb].
     """
 
     scenario: LevitationScenario
@@ -176,14 +176,14 @@ class LevitationRecord:
 
 @cache
 def benchmark() -> tuple[MagLev2DOF, ElectromechanicalSystem]:
-    """Return machine and system, shared by all scenarios: the dynamics compile only once."""
+    """Return (machine, system), shared by all scenarios so that the dynamics compile only once."""
     machine = example("maglev-knospe")
     assert isinstance(machine, MagLev2DOF)
     return machine, maglev_2dof(machine)
 
 
 def closed_loop(scenario: LevitationScenario) -> tuple[_Control, State, State]:
-    """Return controller in the system's coordinates, initial state, and sizes of the states."""
+    """Return (controller in the system's coordinates, initial state, sizes of the states)."""
     machine, _ = benchmark()
     c = np.array([machine.c_1, machine.c_2])
     phi = machine.k_2 * scenario.bias_current / machine.g
@@ -207,7 +207,7 @@ def closed_loop(scenario: LevitationScenario) -> tuple[_Control, State, State]:
 
 
 def record(scenario: LevitationScenario, h: float = 1e-3, quick: bool = False) -> LevitationRecord:
-    """Simulate a scenario; if `quick`, for 30 s, with the biases jumping at 15 s."""
+    """Simulate a scenario; if `quick`, the run lasts 30 s and the biases jump at 15 s."""
     duration, jump = (30.0, 15.0) if quick else (DURATION, JUMP)
     machine, system = benchmark()
     control, start, scale = closed_loop(scenario)
@@ -218,7 +218,7 @@ def record(scenario: LevitationScenario, h: float = 1e-3, quick: bool = False) -
         start,
         scale=scale,
         position_limit=(-machine.g, machine.g),
-        stiff=scenario.alpha > 1,  # well-damped poles near ±8600j, decayed after 0.1 s
+        stiff=scenario.alpha > 1,  # well-damped poles near ±8600j, which decay within 0.1 s
         rtol=1e-7,
     )
     return measured(scenario, machine, trajectory, jump)
@@ -226,10 +226,10 @@ def record(scenario: LevitationScenario, h: float = 1e-3, quick: bool = False) -
 
 @cache
 def orbit(name: str) -> PeriodicOrbit:
-    """Return the periodic orbit that a scenario settles to, with :data:`SAMPLES` per second.
+    """Return the periodic orbit to which a scenario settles, with :data:`SAMPLES` per second.
 
-    The references are commensurate: 10, 15, 20 and, if the flux is modulated, 7 rad/s. S1 has no
-    orbit: without bias flux its flux fades, ever more slowly.
+    The references have a common period: 10, 15, 20 and, if the flux is modulated, 7 rad/s. S1 has
+    no orbit: without bias flux, its flux decreases more and more slowly.
     """
     scenario = SCENARIOS[name]
     machine, system = benchmark()
@@ -248,7 +248,7 @@ def orbit(name: str) -> PeriodicOrbit:
 
 
 def measured_orbit(name: str, segment: int) -> tuple[Orbit, Array]:
-    """Return the measured orbit with the biases before (0) or after (1) the jump, and the drift."""
+    """Return (measured orbit, drift) with the biases before (0) or after (1) the jump."""
     machine, _ = benchmark()
     trajectory = orbit(name).trajectory
     c = np.array([machine.c_1, machine.c_2])
@@ -266,9 +266,9 @@ def measured(
     factor: float = 1.0,
     swing: float = 0.0,
 ) -> LevitationRecord:
-    """Measure a trajectory, with the paper's biases times `factor`.
+    """Measure a trajectory with the paper's biases multiplied by `factor`.
 
-    `swing` modulates every bias by this share of its size, at :data:`OFFSET_SPEED`.
+    Every bias moves by `swing` times its size at :data:`OFFSET_SPEED`.
     """
     t, h = trajectory.t, trajectory.h
     moving = (factor * (1 + swing * np.sin(OFFSET_SPEED * (t - h / 2))))[:, None]
@@ -292,9 +292,9 @@ def measured(
 
 
 class FilteredRecord(NamedTuple):
-    """Regression at every row, and at the jump with the current just after it.
+    """Regression at every row; at the jump, also with the current just after the jump.
 
-    The row at the jump itself belongs to the biases before.
+    The row at the jump itself has the biases before the jump.
     """
 
     rows: Regressors
@@ -302,10 +302,10 @@ class FilteredRecord(NamedTuple):
 
 
 def filtered(record: LevitationRecord) -> tuple[FilteredRecord, FilteredRecord]:
-    """Return the continuous regression at every row: corrected, and with Φ_λ as printed."""
+    """Return the continuous regressions (corrected, with printed Φ_λ) at every row."""
     c = np.array([record.machine.c_1, record.machine.c_2])
     _, rate, current = record.trajectory.inside(PLACES)
-    # With the bias of each interval; it jumps between two of them.
+    # Each interval has its own bias, which jumps between two intervals.
     y_m = rate / c - record.drift[1:, None]
     i_m = current + record.current_bias[1:, None]
     regression = FilteredRegression(record.constraint, CORNER)

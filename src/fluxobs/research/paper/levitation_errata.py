@@ -1,4 +1,4 @@
-"""Erratum 8: the levitation and its controller exactly as the paper prints them."""
+"""Erratum 8: the levitation and its controller, exactly as printed in the paper."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class LevitationErrata:
     literal_growth : float
         Fastest growth rate [1/s] of the literal model under the printed controller.
     poles, printed_poles : tuple of complex
-        Poles [1/s] of the consistent model in S2, with z̃₂ corrected and printed; rightmost first.
+        Poles [1/s] of the consistent model in S2 with corrected and printed z̃₂, rightmost first.
     stiffness, stiffness_without_flux : float
-        Smallest curvature of the shaped energy at its stationary point, per-unit: with the bias
-        flux of S2, and with the paper's φ* = 0. A minimum needs a positive value.
+        Smallest per-unit curvature of the shaped energy at its stationary point, with the bias flux
+        of S2 and with the paper's φ* = 0. At a minimum, the value is positive.
     """
 
     literal_growth: float
@@ -40,7 +40,7 @@ class LevitationErrata:
 
 
 def _constant(scenario: LevitationScenario, form: str) -> tuple[Control, State, IdaPbc]:
-    """Return the controller of a scenario with q* = 0, its equilibrium, and the law."""
+    """Return (controller of a scenario with q* = 0, its equilibrium, the law)."""
     control, _, _ = closed_loop(scenario)
     machine, _ = benchmark()
     law: Any = control.law
@@ -76,7 +76,7 @@ def study() -> LevitationErrata:
         control, state, _ = _constant(SCENARIOS["S2"], form)
         linkage = state._replace(flux=state.flux * c)
         poles_of[form] = tuple(complex(pole) for pole in poles(system, control, linkage))
-    # The literal model has no c; the paper's law reads its state directly.
+    # The literal model has no c, so the paper's law uses the model's state directly.
     _, state, law = _constant(SCENARIOS["S2"], "printed")
 
     def literal(t: Any, state: State) -> jax.Array:

@@ -1,4 +1,4 @@
-"""PMSM cases that the paper omits: a servo motor, and the counter-example of erratum 6."""
+"""PMSM cases that the paper omits: a servo motor and the counter-example of erratum 6."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from ..regression.filtered import PLACES, filter_record, read_out_record
 
 @dataclass(frozen=True, eq=False)
 class MotorRecord:
-    """Closed-form trajectory of a surface PMSM with biased measurements; rows h apart.
+    """Closed-form trajectory of a surface PMSM with biased measurements and sample time h.
 
-    Fields as in :class:`fluxobs.research.paper.levitation.LevitationRecord`; `rows` is the
-    continuous regression at the samples.
+    The fields are those of :class:`fluxobs.research.paper.levitation.LevitationRecord`; `rows` is
+    the continuous regression at the samples.
     """
 
     machine: SurfacePMSM
@@ -48,7 +48,7 @@ def motor_signals(
     angle: Callable[[jax.Array], jax.Array],
     i_q: Callable[[jax.Array], jax.Array],
 ) -> Callable[[jax.Array], tuple[jax.Array, ...]]:
-    """Return flux, its rate, current and electrical angle as functions of time, in closed form."""
+    """Return closed forms of flux, flux rate, current and electrical angle as functions of time."""
     L, psi = machine.L_s, machine.psi_f or 0.0
 
     def current_at(time: jax.Array) -> jax.Array:
@@ -73,10 +73,10 @@ def motor_record(
     current_bias: Steps,
     voltage_bias: Steps,
 ) -> MotorRecord:
-    """Return the record of a motor with angle and torque current as functions of time."""
+    """Return the record of a motor from its angle and torque current as functions of time."""
     h = float(t[1] - t[0])
     signals = motor_signals(machine, angle, i_q)
-    # Start, middle and end of every interval.
+    # Times at the start, middle and end of every interval.
     fine = jnp.asarray(t[:-1, None] + h * PLACES)
     flux, rate, current, theta_e = map(np.asarray, jax.jit(jax.vmap(jax.vmap(signals)))(fine))
 
@@ -107,7 +107,7 @@ SERVO_CORNER = 200.0
 
 
 def servo(quick: bool = False) -> MotorRecord:
-    """Return a 400 W servo motor with varying speed and load; the offsets jump half way."""
+    """Return a 400 W servo motor with varying speed and load; the offsets jump at half time."""
     machine = example("servo-400w")
     assert isinstance(machine, SurfacePMSM)
     duration = 2.0 if quick else 4.0
@@ -139,10 +139,10 @@ class MotorOrbit(NamedTuple):
 
 
 def counter_example(samples: int = 256) -> MotorOrbit:
-    """Erratum 6 in per-unit: Ψ is persistently exciting, Proposition 2 unstable at every gain.
+    """Erratum 6, per-unit: Ψ is persistently exciting; Proposition 2 is unstable at every gain.
 
-    θ_e = t + 0.8 sin t, L = 0.4, i_dq = (0, 0.5), ψ = 1, ν = 1, no bias; one period, 2π, in steady
-    state.
+    Parameters: θ_e = t + 0.8 sin t, L = 0.4, i_dq = (0, 0.5), ψ = 1, ν = 1, no bias. The record is
+    one period (2π) in steady state.
     """
     machine = SurfacePMSM(R_s=0.05, L_s=0.4, n_p=1, psi_f=1.0)
     signals = motor_signals(

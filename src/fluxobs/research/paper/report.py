@@ -1,4 +1,4 @@
-"""The paper's claims beside the measured results, as numbers and as Markdown."""
+"""Report of the paper's claims and the measured results, as numbers and as Markdown."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from .levitation import G_OF_PAPER, INITIAL_FLUX
 from .scenario import MAIN, ScenarioResult
 from .section_v import ErrorCourse, rms
 
-#: Levels of the flux error that count as settled.
+#: Flux errors below which an observer counts as settled.
 LEVELS = (0.02, 1e-3, 1e-6)
-#: Error over the largest flux above which no digit is shown.
+#: Error over the largest flux above which the report shows no digits.
 DIVERGED = 1e6
 
 
 def course_numbers(course: ErrorCourse, jump: float) -> dict[str, Any]:
-    """Return errors before and after the jump, and times to settle after it (None: never)."""
+    """Return errors before and after the jump and settling times after the jump (None if never)."""
     end = float(course.t[-1])
     settle = {f"{level:g}": course.first_below(level, jump) for level in LEVELS}
     spans = {"before": (0.8 * jump, 0.998 * jump), "end": (jump + 0.8 * (end - jump), end)}
@@ -39,7 +39,7 @@ def course_numbers(course: ErrorCourse, jump: float) -> dict[str, Any]:
 def numbers(
     runs: Sequence[ScenarioResult], motor: Mapping[str, ErrorCourse], counter: CounterExample
 ) -> dict[str, Any]:
-    """Return all numbers of the report, for ``numbers.json``."""
+    """Return all numbers of the report for ``numbers.json``."""
     half = float(next(iter(motor.values())).t[-1] / 2)
     return {
         "scenarios": {
@@ -121,16 +121,16 @@ def _claims(results: Mapping[str, Any]) -> str:
     rows = [
         [
             "Figure 2: the robust observer's error is bounded",
-            f"with the printed gain it equals the voltage model (error ratio {integrator:.3f}); "
-            "with a balanced gain bounded, "
+            "with the printed gain, the observer equals the voltage model (error ratio "
+            f"{integrator:.3f}); with a balanced gain, the error is bounded: "
             f"{error_text(courses['robust, balanced gain']['before'])} rms",
         ],
         [
-            "its steady error depends on the size of the biases",
+            "the steady error depends on the size of the biases",
             f"biases halved, unchanged, doubled: {rms['0.5']:.3f}, {rms['1']:.3f}, {rms['2']:.3f}",
         ],
         [
-            "with an explicit bound",
+            "the error has an explicit bound",
             f"corrected bound {robust['bound']:.1e}, largest error {robust['largest']:.2g}",
         ],
         [
@@ -140,18 +140,18 @@ def _claims(results: Mapping[str, Any]) -> str:
             f"{_time(printed['settled']['0.02'])}",
         ],
         [
-            "(the same equations as printed, ν missing in Φ_λ)",
+            "(these equations as printed, without ν in Φ_λ)",
             f"{error_text(courses['adaptive, printed gain and Φ']['end'])} at the end",
         ],
         [
-            "and converge again after the biases jump",
+            "the errors converge again after the biases jump",
             f"repaired: below 1e-3 within {_time(repaired['settled']['0.001'])}; least squares: "
             f"below 2 % within {_time(ls['settled']['0.02'])}, below 1e-6 within "
             f"{_time(ls['settled']['1e-06'])}",
         ],
         [
-            "Proposition 2: there is a γ_min above which it converges",
-            "PMSM, Ψ persistently exciting "
+            "Proposition 2: the error converges above some γ_min",
+            "PMSM with persistently exciting Ψ "
             f"(α = {results['counter_example']['alpha']:.2f}): largest Floquet multiplier "
             + ", ".join(f"{value:.2f}" for value in multipliers)
             + f" for γ = 1e-3 … 1e4: stable at {sum(value < 1 for value in multipliers)} of "
@@ -164,9 +164,9 @@ def _claims(results: Mapping[str, Any]) -> str:
 def _scenario(name: str, run: Mapping[str, Any]) -> list[str]:
     return [
         f"### {name}: {run['title']}",
-        f"The position follows its reference to {1e6 * run['tracking']:.0f} µm rms; the reference "
-        f"itself is {1e6 * run['reference']:.0f} µm rms. It is faster than the closed loop, whose "
-        "law assumes constant references. The largest flux is "
+        f"The position differs from its reference by {1e6 * run['tracking']:.0f} µm rms; the "
+        f"reference itself is {1e6 * run['reference']:.0f} µm rms. The reference is faster than "
+        "the closed loop, whose law assumes constant references. The largest flux is "
         f"{1e6 * run['largest_flux']:.3g} µWb.",
         _courses(run["courses"]),
     ]
@@ -175,8 +175,8 @@ def _scenario(name: str, run: Mapping[str, Any]) -> list[str]:
 def _excitation(scenarios: Mapping[str, Any]) -> list[str]:
     return [
         "## Excitation",
-        "Ratio of smallest to largest eigenvalue over 2 s, per-unit, and the direction that the "
-        "observability Gramian sees least.",
+        "The table shows the per-unit ratio of smallest to largest eigenvalue over 2 s and the "
+        "direction that the observability Gramian sees least.",
         table(
             ["scenario", "Φ_λ (pe1)", "Ψ (pe2)", "observability", "seen least"],
             [
@@ -199,7 +199,7 @@ def _excitation(scenarios: Mapping[str, Any]) -> list[str]:
 
 
 def _growth(value: float, error: float) -> str:
-    """Format a growth rate with its significant digits; without a sign if that is uncertain."""
+    """Format a growth rate with its significant digits; return zero if the sign is uncertain."""
     if abs(value) <= error:
         return f"0 ± {error:.2g}"
     if error < 0.005 * abs(value):
@@ -224,10 +224,11 @@ def _stability(scenarios: Mapping[str, Any]) -> list[str]:
     ]
     return [
         "## Stability of Proposition 2",
-        "Growth rate of the error [1/s] with the printed gain matrix times the factor; positive is "
-        "unstable. Where the scenario settles to a periodic orbit: ln |largest Floquet multiplier| "
-        "over the period, converged in the step to all digits shown. Otherwise: the largest "
-        "Lyapunov exponent of the record, ± its change when record and step are halved.",
+        "The table shows the growth rate of the error [1/s] for the printed gain matrix times the "
+        "factor; a positive rate is unstable. If the scenario settles to a periodic orbit, the "
+        "rate is ln |largest Floquet multiplier| over the period, with all digits converged in the "
+        "step. Otherwise, the rate is the largest Lyapunov exponent of the record, ± its change "
+        "when record and step are halved.",
         table(["scenario", "period", *(f"γ × {factor}" for factor in factors)], rows),
     ]
 
@@ -255,9 +256,9 @@ def _parameters(scenarios: Mapping[str, Any]) -> list[str]:
     return [
         "## The constants, by least squares",
         "The flux is right in every scenario; the constants are right where the trajectory makes "
-        "them identifiable. *Known* is the share of samples that the observer itself reports as "
-        "valid over the last fifth of the span: `valid` for flux and drift, `current_bias_valid` "
-        "for the current bias. The std is the median over the same samples.",
+        "them identifiable. *Known* is the share of samples in the last fifth of the span that "
+        "the observer reports as valid: `valid` for flux and drift, `current_bias_valid` for the "
+        "current bias. The std is the median over the last fifth.",
         table(["scenario", "constant", "true", "estimate", "std", "known"], rows),
     ]
 
@@ -295,10 +296,10 @@ def _noise(scenarios: Mapping[str, Any]) -> list[str]:
         return []
     return [
         "## With noise",
-        "1 mA and 10 mV of white noise at 1 kHz, converter steps of 0.5 mA and 5 mV, first "
-        "10 s, memory 0.5 s, drift and current bias unknown. With little excitation the covariance "
-        "alone states far too small an error; the noise share, the part of the information that is "
-        "only noise, reveals it.",
+        "The first 10 s have white noise of 1 mA and 10 mV at 1 kHz and converter steps of 0.5 mA "
+        "and 5 mV; the memory is 0.5 s, and drift and current bias are unknown. With little "
+        "excitation, the error stated by the covariance is far too small. The noise share, the "
+        "part of the information that is only noise, shows this.",
         table(["", "rms error", "claimed by covariance", "noise share", "claimed valid"], rows),
     ]
 
@@ -311,38 +312,43 @@ def _convergence(scenarios: Mapping[str, Any]) -> str:
         if course["change"] is not None
     ]
     return (
-        "The runs of the paper's two laws are converged: halving the step moves no error by more "
-        f"than {max(changes):.0e} of the largest error."
+        "The runs of the paper's two laws are converged: halving the step changes no error by "
+        f"more than {max(changes):.0e} of the largest error."
     )
 
 
 def markdown(results: Mapping[str, Any], more: Sequence[str] = ()) -> str:
-    """Return the report; `more` are further sections."""
+    """Return the report; `more` contains further sections."""
     scenarios: Mapping[str, Any] = results["scenarios"]
     errors = results["counter_example"]["errors"]
     sections = [
         "# Section V of the paper, reproduced",
         "A. Pyrkin, A. Vedyakov, R. Ortega, A. Bobtsov, *A Robust Adaptive Flux Observer for a "
-        "Class of Electromechanical Systems*. Two opposed coils under IDA-PBC on the consistent "
-        "model, measured with the paper's biases, which jump half way. Errors are of the flux "
-        "vector, over its largest length. All observers start from zero. The paper gives "
-        f"neither G of the controller nor the initial fluxes: {G_OF_PAPER:g} and "
-        f"{INITIAL_FLUX:g} Wb are our choice."
-        + ("" if len(scenarios) > 1 else " Quick run: one scenario, 30 s, jump at 15 s."),
+        "Class of Electromechanical Systems*. Two opposed coils under IDA-PBC are simulated with "
+        "the consistent model and measured with the paper's biases, which jump at half time. "
+        "Errors are those of the flux vector, divided by its largest length. All observers start "
+        "from zero. The paper does not give G of the controller and the initial fluxes; we use "
+        f"{G_OF_PAPER:g} and {INITIAL_FLUX:g} Wb."
+        + (
+            ""
+            if len(scenarios) > 1
+            else " This quick run has one scenario of 30 s; the jump is at 15 s."
+        ),
         "## Claims",
         _claims(results),
-        "In the paper's style: its own law with its own gains, in Wb and V on linear axes:",
+        "These figures show the paper's law with the paper's gains, in Wb and V on linear axes:",
         "![Figure 2](figure_2.png)",
         "![Figure 3](figure_3.png)",
-        "The same runs together with the other observers, relative errors on a logarithmic axis:",
+        "These figures compare the runs with the other observers (relative errors, logarithmic):",
         "![robust observer](robust.png)",
         "![adaptive observer, flux](adaptive_flux.png)",
         "![adaptive observer, parameters](adaptive_parameters.png)",
         "## Every observer, every scenario",
         *(text for name, run in scenarios.items() for text in _scenario(name, run)),
-        "Least squares: 100 samples per second, memory 0.1 s, unknowns drift and current bias; its "
-        "residual restarts it at the jump. A balanced gain is the inverse of the regressor's mean "
-        "square, computed on the record before the jump. " + _convergence(scenarios),
+        "The least squares uses 100 samples per second and a memory of 0.1 s; drift and current "
+        "bias are unknown. Its residual causes a restart at the jump. A balanced gain is the "
+        "inverse of the regressor's mean square, computed on the record before the jump. "
+        + _convergence(scenarios),
         "![trajectories](trajectories.png)",
         "![baselines](baselines.png)",
         *_excitation(scenarios),
@@ -351,13 +357,14 @@ def markdown(results: Mapping[str, Any], more: Sequence[str] = ()) -> str:
         *_mechanics(scenarios),
         *_noise(scenarios),
         "## PMSM",
-        "A servo motor with offsets of both sensors. Errors are of the active flux λ - L i, over "
-        "ψ; a current bias does not affect it. Least squares is the production observer.",
+        "The voltage and current sensors of this servo motor have offsets. Errors are those of the "
+        "active flux λ - L i, divided by ψ; a current bias does not affect the active flux. Least "
+        "squares is the production observer.",
         _courses(results["motor"]),
         "![PMSM](pmsm.png)",
         "## Proposition 2 is false",
-        "Surface PMSM, θ_e = t + 0.8 sin t, L = 0.4, i_q = 0.5, ψ = 1, ν = 1, per-unit, no bias, "
-        "unknowns (λ, θ, 2/ν θᵀθ). Flux errors after 30 periods: "
+        "Per-unit surface PMSM with θ_e = t + 0.8 sin t, L = 0.4, i_q = 0.5, ψ = 1, ν = 1, no "
+        "bias, and the unknowns (λ, θ, 2/ν θᵀθ). Flux errors after 30 periods: "
         + "; ".join(f"{name}: {value:.1e}" for name, value in errors.items())
         + ".",
         "![counter-example](counter_example.png)",

@@ -1,4 +1,4 @@
-"""Reproduce Section V of the paper with one command: figures, numbers, report."""
+"""Reproduce the figures, numbers and report of the paper's Section V with one command."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 class _Workers:
-    """Other processes that compile for themselves; with zero processes, work is done at once."""
+    """Processes that do work and compile separately; with zero processes, `start` does the work."""
 
     def __init__(self, processes: int) -> None:
         context = get_context("spawn")
@@ -61,21 +61,21 @@ def reproduce(
     say: Callable[[str], Any] = lambda text: None,
     processes: int = 2,
 ) -> dict[str, Any]:
-    """Run everything; write ``report.html``, ``report.md``, ``numbers.json`` and the figures.
+    """Run all studies; write ``report.html``, ``report.md``, ``numbers.json`` and the figures.
 
     Parameters
     ----------
     out : path
-        Created if missing; files of the same names are replaced.
+        Output folder, created if missing. Files with the names of the outputs are replaced.
     quick : bool
-        Run scenario S5 alone, for 30 s with the jump at 15 s; no stability, no noise, PNG only.
+        Run only scenario S5, for 30 s with the jump at 15 s, without stability and noise; PNG only.
     deep : bool
         Also run the long studies (minutes): scenario S2, Proposition 2 with a scalar gain,
         observers published later, the levitation as printed, the closed loop.
     say : callable
-        Called with a line of text after each step.
+        Function that gets a line of text after each step.
     processes : int
-        Number of processes; 1 runs everything in this one. The numbers do not depend on it.
+        Number of processes; 1 runs everything in the calling process, with the same results.
 
     Returns
     -------
@@ -85,10 +85,10 @@ def reproduce(
     Raises
     ------
     FluxobsError
-        The folder cannot be created or written, or `quick` and `deep` are both set.
+        If the folder cannot be created or written, or `quick` and `deep` are both set.
     """
     if quick and deep:
-        raise FluxobsError("quick and deep exclude each other: leave one out")
+        raise FluxobsError("quick and deep exclude each other: use only one of them")
     out = Path(out)
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""All results on one scenario, in a form that can be sent between processes."""
+"""All results of one scenario in a form that processes can exchange."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from .studies import (
 
 #: Scenarios of the noise study.
 NOISY = ("S1", "S3", "S5")
-#: Scenarios in the figures and, unless deep, in the stability study: the paper's own and
-#: the well-posed S5.
+#: Scenarios in the figures and, unless deep, in the stability study: the paper's own scenario S1
+#: and the well-posed S5.
 SHOWN = ("S1", "S5")
-#: Scenario for judging the claims and for the error of the robust observer.
+#: Scenario on which the claims are checked and the robust observer's error is computed.
 MAIN = "S5"
 
 
 @dataclass(frozen=True, eq=False)
 class ScenarioResult:
-    """Courses of all observers, the trajectory for the figures, and the studies.
+    """Error courses of all observers, trajectory for the figures, and results of the studies.
 
     Attributes
     ----------
@@ -43,19 +43,19 @@ class ScenarioResult:
     courses : dict
         Observer → error course.
     t, position, reference, flux : ndarray
-        The first 5 s, thinned.
+        Thinned signals of the first 5 s.
     tracking : float
-        Rms position error to the reference [m].
+        Rms error of the position against the reference [m].
     largest_flux : float
-        Largest |λ| [Wb], to which errors refer.
+        Largest |λ| [Wb]; errors are relative to this value.
     growth : Growth or None
-        Stability of Proposition 2; None in a quick run, and for S2 and S3 unless deep.
+        Stability of Proposition 2; None in a quick run, and for S2 and S3 unless the run is deep.
     parameters : dict
-        "before" and "after" the jump → constant → its estimate by least squares.
+        "before" or "after" (the jump) → constant → its estimate by least squares.
     mechanics : (float, float)
-        Rms errors of position [m] and velocity [m/s], estimated from the flux.
+        Rms errors of the position [m] and velocity [m/s] estimated from the flux.
     noise : Noisy or None
-        Result of the least squares; None in a quick run.
+        Result of the least squares with noise; None in a quick run.
     """
 
     scenario: LevitationScenario
@@ -76,9 +76,10 @@ class ScenarioResult:
 
 
 def run_levitation(name: str, quick: bool = False, deep: bool = False) -> ScenarioResult:
-    """Simulate one scenario, run the observers and the studies.
+    """Simulate one scenario; run the observers and the studies.
 
-    The orbits of S2 and S3 take most of a minute; their stability is studied only if `deep`.
+    The orbits of S2 and S3 need almost a minute; the stability of S2 and S3 is studied only if
+    `deep`.
     """
     record = simulate(SCENARIOS[name], quick=quick)
     run = levitation_run(record, all_observers=name == MAIN and not quick)

@@ -1,4 +1,4 @@
-"""Run every observer on the same record; relative errors over time."""
+"""Run every observer on the same record and return relative errors over time."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from .levitation import (
 )
 from .pmsm import SERVO_CORNER, MotorRecord
 
-#: Start of use, times 1/ν: the filters' transient has decayed to e^{-15}.
+#: Time from which the regression is used. Unit 1/ν; the filters' transient is then e^{-15}.
 RUN_IN = 15.0
 #: Rates of the balanced gains on the levitation [1/s].
 FLUX_RATE, CONSTANTS_RATE = 8.0, 2.0
 #: Window in which the basis of DREM is balanced [s].
 WINDOW = 3.0
-#: Noise relative to the size of the regression, on records without noise.
+#: Noise assumed on records without noise, relative to the size of the regression.
 NUMERICAL = 1e-6
 #: Sample time and memory of the least squares on the levitation [s]. Volt-seconds are exact over
 #: intervals of any length.
@@ -63,10 +63,10 @@ class ErrorCourse:
     constants : (rows,) ndarray or None
         |θ̂ - θ| over |θ|, per-unit; None if the observer estimates no constants.
     parameters : (rows,) ndarray or None
-        |θ̂_m - θ_m| [V]. The paper's Figure 3 sums volts, webers and their products, of which only
-        the drift is visible.
+        |θ̂_m - θ_m| [V]. The paper's Figure 3 sums volts, webers and their products; only the drift
+        is visible in the sum.
     change : float or None
-        Largest change when the steps were last halved, over the largest error; None for an
+        Largest change at the last halving of the steps, over the largest error; None for an
         observer that works on samples.
     """
 
@@ -82,9 +82,9 @@ class ErrorCourse:
         return value if np.isfinite(value) else float("inf")
 
     def first_below(self, level: float, since: float) -> float:
-        """Return the time after `since` from which the error stays below `level`; inf if never.
+        """Return the delay after `since` from which the error stays below `level`; inf if never.
 
-        Only rows up to `since` plus half the record count: until the next jump or the end.
+        Only half a record after `since` counts: until the next jump or the end.
         """
         inside = (self.t >= since) & (self.t <= since + self.t[-1] / 2 - 1e-9)
         late = np.flatnonzero(~(self.flux[inside] < level))
@@ -95,14 +95,14 @@ class ErrorCourse:
 
 
 def rms(t: Array, error: Array, start: float, stop: float) -> float:
-    """Return the rms of an error over a span of time."""
+    """Return the rms of an error between two times."""
     inside = (t >= start) & (t <= stop)
     return float(np.sqrt(np.mean(error[inside] ** 2)))
 
 
 @dataclass(frozen=True, eq=False)
 class LevitationRun:
-    """A record, its regression, and the error courses of all observers by name."""
+    """A record, its regression, and the error courses of all observers, with their names."""
 
     record: LevitationRecord
     rows: Regressors
@@ -111,7 +111,7 @@ class LevitationRun:
 
 
 def sizes(record: LevitationRecord) -> tuple[float, Array]:
-    """Return the size of the flux, and of (λ, θ, δ_i, 2/ν θᵀQ1θ)."""
+    """Return (size of the flux, sizes of (λ, θ, δ_i, 2/ν θᵀQ1θ))."""
     flux = float(np.linalg.norm(record.flux, axis=1).max())
     drift, bias = np.abs(record.drift).max(), np.abs(record.current_bias).max()
     last = 2 / CORNER * record.machine.g * drift**2
@@ -119,7 +119,7 @@ def sizes(record: LevitationRecord) -> tuple[float, Array]:
 
 
 def _true_constants(record: LevitationRecord, constants: Parametrisation) -> Array:
-    """Return the constants at every row, (rows, n_θ): one value before the jump, one after."""
+    """Return the constants (rows, n_θ), with one value before the jump and one after the jump."""
     before, after = (
         np.asarray(constants.constants(record.drift[k], record.current_bias[k])) for k in (0, -1)
     )
@@ -133,11 +133,11 @@ def _course(
     true: Array | None = None,
     change: float | None = None,
 ) -> ErrorCourse:
-    """Return the course of the errors of flux and constants, (rows, n) and (rows, n_θ)."""
+    """Return the error course of the flux (rows, n) and the constants (rows, n_θ)."""
     flux = np.linalg.norm(flux_error, axis=1) / sizes(record)[0]
     if error is None or true is None:
         return ErrorCourse(record.t, flux, change=change)
-    # Relative errors of θ and of the block from the current bias; the last constant adds nothing.
+    # Relative errors of θ and of the block from the current bias, without the last constant.
     blocks = [slice(0, 2), slice(2, 4)]
     relative = [
         np.linalg.norm(error[:, block], axis=1) / np.linalg.norm(true[:, block], axis=1).max()
@@ -149,7 +149,7 @@ def _course(
 
 
 def levitation_run(record: LevitationRecord, all_observers: bool = True) -> LevitationRun:
-    """Run the paper's observers as printed and corrected, the repaired one, the least squares."""
+    """Run the paper's observers (printed, corrected, repaired) and the least squares."""
     regression, printed_regression = filtered(record)
     rows = regression.rows
     h, v = record.h, jnp.asarray(record.volt_seconds)
@@ -157,7 +157,7 @@ def levitation_run(record: LevitationRecord, all_observers: bool = True) -> Levi
     printed = Parametrisation(record.constraint, "printed", CORNER)
     structured = Parametrisation(record.constraint, "structured", CORNER)
     jump = int(np.searchsorted(record.t, record.jump))
-    # Gains come from the excitation before the jump; those of a design run would do as well.
+    # Gains come from the excitation before the jump; gains from a design run would also work.
     nominal = rows.part(slice(skip, jump))
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
 
@@ -206,7 +206,7 @@ def levitation_run(record: LevitationRecord, all_observers: bool = True) -> Levi
 
 
 def regression_size(nominal: Regressors, size: Array) -> float:
-    """Return the size of the regression's y: the contribution of a flux of that size."""
+    """Return the size of the regression's y that a flux of this size causes."""
     return float(np.sqrt(np.mean(np.square(nominal.Phi_flux)))) * float(size[0])
 
 
@@ -217,7 +217,7 @@ def mixing_basis(nominal: Regressors, constants: Parametrisation, h: float, size
 
 
 def thinned(record: LevitationRecord, sample_time: float) -> tuple[NDArray[np.int_], Array]:
-    """Return row numbers, and the volt-seconds summed between those rows."""
+    """Return (row numbers, volt-seconds summed between these rows)."""
     step = round(sample_time / record.h)
     rows = np.arange(0, len(record.t), step)
     sums = np.cumsum(record.volt_seconds, axis=0)[rows]
@@ -235,12 +235,12 @@ def levitation_observer(
 ) -> ImmersionObserver:
     """Return a least-squares observer for drift and current bias on a pair of coils.
 
-    `noise` are the standard deviations of a current [A] and of a mean voltage [V] per sample;
-    `bias_current` [A] gives the size of the flux.
+    `noise` contains the standard deviations of a current [A] and of a mean voltage [V] per sample;
+    `bias_current` [A] determines the size of the flux.
     """
     size = machine.k_2 * bias_current / machine.g
     current_noise, voltage_noise = noise
-    # Voltage noise integrates into w over the memory, in addition to the current noise.
+    # Voltage noise accumulates in w over the memory, in addition to the current noise.
     walk = 2 * machine.g * size * voltage_noise / machine.N * np.sqrt(h * memory)
     sensed = float(np.hypot(machine.constraint_noise(size, current_noise), walk))
     return ImmersionObserver(
@@ -281,10 +281,10 @@ def _least_squares_course(record: LevitationRecord, estimate: ImmersionEstimate)
 
 
 def motor_courses(record: MotorRecord) -> dict[str, ErrorCourse]:
-    """Run the observers on a PMSM with both biases; errors of the active flux λ - L i over ψ.
+    """Run the observers on a PMSM with both biases; errors are those of λ - L i, divided by ψ.
 
-    A current bias is equivalent to an offset (λ, i) + (L s, s), which leaves λ̂ - L i_m unchanged;
-    therefore only the drift is estimated.
+    A current bias is equivalent to the offset (L s, s) of (λ, i), which leaves λ̂ - L i_m
+    unchanged; therefore only the drift is estimated.
     """
     h, v, rows = record.h, jnp.asarray(record.volt_seconds), record.rows
     psi, L = record.machine.psi_f or 1.0, record.machine.L_s

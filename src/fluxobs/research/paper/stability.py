@@ -1,8 +1,8 @@
 """Stability of Proposition 2 on the levitation: Floquet multipliers or Lyapunov exponents.
 
-S2, S3 and S5 settle to a periodic orbit, where Floquet multipliers decide. S1 does not: without
-bias flux its flux fades. Its exponent belongs to the record; the uncertainty shows how far it
-holds.
+S2, S3 and S5 settle to a periodic orbit, where Floquet multipliers decide. S1 does not settle,
+because its flux decreases without bias flux. The exponent of S1 is that of the record; the
+uncertainty shows how far this exponent holds.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from .levitation import (
     orbit,
 )
 
-#: Gain factors on the printed matrix of Proposition 2.
+#: Factors by which the printed gain matrix of Proposition 2 is multiplied.
 FACTORS = (0.01, 1.0, 10.0)
 #: Scalar gains of the counter-example on S5.
 SCALAR_GAINS = tuple(10.0**k for k in range(-5, 7))
-#: Units of the drift, over the unit in which its regressor has rms one; the last is one flux unit
-#: per second.
+#: Units of the drift, relative to the unit in which its regressor has rms one. The last unit is one
+#: flux unit per second.
 UNITS = (1.0, 0.5, 0.3, 0.155)
-#: Time omitted at the start of each span: transients of the filters and slow poles of the loop [s].
+#: Time omitted at the start of each span. Unit s; filters and slow poles have transients.
 AFTER_START = 2.0
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Growth rate of the error of Proposition 2, before and after the jump, for each factor.
+    """Growth rate of Proposition 2's error before and after the jump, for each factor.
 
     Attributes
     ----------
     period : float or None
-        Period of the orbit [s]; None without one.
+        Period of the orbit [s]; None without an orbit.
     attracts : float or None
-        Largest |Floquet multiplier| of the closed loop on the orbit: below one it attracts.
+        Largest |Floquet multiplier| of the closed loop on the orbit; the orbit attracts below one.
     before, after : dict
         Gain factor → (exponent, uncertainty) [1/s].
     """
@@ -61,7 +61,7 @@ def printed_constants() -> Parametrisation:
 
 
 def psi_on_orbit(name: str, segment: int) -> tuple[Array, float]:
-    """Return Ψ of a scenario's periodic steady state, and its sample time."""
+    """Return (Ψ of a scenario's periodic steady state, its sample time)."""
     measured, _ = measured_orbit(name, segment)
     rows = periodic_regression(benchmark()[0].constraint, CORNER, measured)
     psi = np.asarray(printed_constants().psi_record(rows))
@@ -69,7 +69,7 @@ def psi_on_orbit(name: str, segment: int) -> tuple[Array, float]:
 
 
 def growth(record: LevitationRecord, rows: Regressors) -> Growth:
-    """Return the exponents of a scenario, from its orbit or, without one, from the record."""
+    """Return the exponents of a scenario from its orbit or, without an orbit, from the record."""
     name, constants = record.scenario.name, printed_constants()
     has_orbit = record.scenario.bias_current > 0
     rates = []
@@ -99,17 +99,17 @@ def growth(record: LevitationRecord, rows: Regressors) -> Growth:
 
 @dataclass(frozen=True, eq=False)
 class ScalarGain:
-    """S5 with the scalar gain of Proposition 2, unknowns in units that give unit regressors.
+    """S5 with a scalar gain in Proposition 2, in units in which every regressor has rms one.
 
     Attributes
     ----------
     alpha : float
-        Smallest eigenvalue of the mean of ``Ψ Ψᵀ`` over the period, 2π s; > 0 is persistently
-        exciting.
+        Smallest eigenvalue of the mean of ``Ψ Ψᵀ`` over the period 2π s. If it is > 0, Ψ is
+        persistently exciting.
     gains : (k,) ndarray
     multipliers : dict
-        Unit of the drift, over the unit in which its regressor has rms one → largest |Floquet
-        multiplier| for each gain, before the jump. The proposition does not depend on units.
+        Relative unit of the drift (1: its regressor has rms one) → largest |Floquet multiplier| for
+        each gain before the jump. The proposition does not depend on units.
     """
 
     alpha: float
@@ -118,9 +118,9 @@ class ScalarGain:
 
 
 def unit_regressor(psi: Array, drift_unit: float = 1.0) -> tuple[Array, Array]:
-    """Return Ψ in units in which the rms of every column is one, and those units.
+    """Return (Ψ in units in which every column has rms one, these units).
 
-    `drift_unit` multiplies the unit of the drift; below one it makes the column smaller.
+    `drift_unit` multiplies the unit of the drift; a value below one makes the column smaller.
     """
     units = 1 / np.sqrt(np.mean(psi**2, axis=0))
     units[2:4] *= drift_unit
@@ -128,12 +128,12 @@ def unit_regressor(psi: Array, drift_unit: float = 1.0) -> tuple[Array, Array]:
 
 
 def scalar_gain() -> ScalarGain:
-    """Return the strongest counter-example: the paper's own levitation, regressor and gain."""
+    """Return the strongest counter-example, with the paper's own levitation, regressor and gain."""
     psi, h = psi_on_orbit("S5", 0)
     constants, multipliers = printed_constants(), {}
     for unit in UNITS:
         _, units = unit_regressor(psi, unit)
-        # γ I in these units is γ diag(units²) in SI.
+        # γ I in these units equals γ diag(units²) in SI units.
         study = over_gain(psi, h, constants, SCALAR_GAINS, units**2)
         multipliers[unit] = study.multipliers(SCENARIOS["S5"].period)
     scaled, _ = unit_regressor(psi)

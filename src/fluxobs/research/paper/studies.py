@@ -1,4 +1,4 @@
-"""Further studies: excitation, constants, error bound, scaling with bias, noise."""
+"""Further studies of excitation, constants, error bound, scaling with bias, and noise."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from .section_v import (
     thinned,
 )
 
-#: Window of the excitation [s]: three periods of the slowest component of the reference.
+#: Window of the excitation. Unit s; three periods of the slowest component of the reference.
 WINDOW = 2.0
 
 
 @dataclass(frozen=True)
 class Excited:
-    """Eigenvalue ratios (smallest over largest, per-unit) over :data:`WINDOW`, before the jump.
+    """Eigenvalue ratios (smallest over largest, per-unit) over :data:`WINDOW` before the jump.
 
     Attributes
     ----------
     flux : float
-        Ratio for Φ_λ, (pe1).
+        Ratio for Φ_λ (pe1).
     all_constants : float
-        Ratio for Ψ with unknowns (λ, θ, δ_i, θᵀQ1θ), (pe2).
+        Ratio for Ψ with unknowns (λ, θ, δ_i, θᵀQ1θ) (pe2).
     observability : float
         Ratio for the observability Gramian, in which the drift moves the flux.
     weakest : dict
-        Direction that this Gramian sees least: shares of flux, drift and current bias, per-unit.
+        Per-unit shares of flux, drift and current bias in the Gramian's least visible direction.
     """
 
     flux: float
@@ -63,12 +63,12 @@ def excited(run: LevitationRun) -> Excited:
     psi = np.asarray(constants.psi_record(rows))
     thin = slice(None, None, 5)
     flux = excitation(np.asarray(rows.Phi_flux)[thin], 5 * h, WINDOW)
-    # Scale each column to unit rms: the ratio then shows only how similar they are.
+    # Scale each column to unit rms, so that the ratio shows only how similar the columns are.
     full = excitation((psi / np.sqrt(np.mean(psi**2, axis=0)))[thin], 5 * h, WINDOW)
     gramian = observability_gramian(rows, constants, h, WINDOW, size)
     scale = 1 / np.sqrt(np.diag(gramian))
     values, vectors = np.linalg.eigh(scale[:, None] * gramian * scale)
-    # Back to per-unit unknowns: their shares in the direction seen least.
+    # Convert to per-unit unknowns to get their shares in the direction seen least.
     weakest = np.abs(scale * vectors[:, 0])
     weakest /= np.linalg.norm(weakest)
     blocks = {"flux": slice(0, 2), "drift": slice(2, 4), "current bias": slice(4, 6)}
@@ -87,10 +87,10 @@ class ConstantEstimate:
     Attributes
     ----------
     true, estimate, std : (float, float)
-        True value and estimate at the end, and median standard deviation [V] or [A].
+        True value and estimate at the end; median standard deviation; [V] or [A].
     known : float
-        Share of samples that the observer itself reports as valid: `valid`, or
-        `current_bias_valid` for the current bias.
+        Share of samples that the observer reports as valid: `valid`, or `current_bias_valid` for
+        the current bias.
     """
 
     true: tuple[float, float]
@@ -100,7 +100,7 @@ class ConstantEstimate:
 
 
 def parameters(run: LevitationRun) -> dict[str, dict[str, ConstantEstimate]]:
-    """Return drift and current bias at the end of each span, "before" and "after" the jump."""
+    """Return drift and current bias at the end of the spans "before" and "after" the jump."""
     record, estimates = run.record, run.least_squares
     rows, _ = thinned(record, LS_SAMPLE_TIME)
     last = int(np.searchsorted(record.t[rows], record.jump - LS_SAMPLE_TIME / 2)) - 1
@@ -135,9 +135,9 @@ class Robust:
     Attributes
     ----------
     rms : dict
-        Bias factor → relative rms flux error over the second half of the time before the jump.
+        Bias factor → relative rms flux error in the second half of the time before the jump.
     bound, largest : float
-        Corrected bound in steady state, and the largest error there; both relative.
+        Corrected bound and largest error in steady state, as relative values.
     """
 
     rms: dict[float, float]
@@ -146,7 +146,7 @@ class Robust:
 
 
 def robust(run: LevitationRun) -> Robust:
-    """Scale the biases, and compare the corrected bound with the error."""
+    """Scale the biases and compare the corrected bound with the error."""
     base = run.record
     nominal, skip, jump = _nominal(run)
     Gamma = balanced_gain(np.asarray(nominal.Phi_flux), FLUX_RATE)
@@ -175,9 +175,9 @@ class Noisy:
     Attributes
     ----------
     error, claimed : float
-        Rms flux error after 2 s: true, and stated by the covariance; relative.
+        Relative rms flux error after 2 s: true error, and error stated by the covariance.
     noise_share : float
-        Noise share of the larger flux component, median over time.
+        Median over time of the noise share of the larger flux component.
     valid : float
         Share of samples that the observer reports as valid.
     """
@@ -189,9 +189,9 @@ class Noisy:
 
 
 def with_noise(record: LevitationRecord) -> tuple[Array, Array]:
-    """Return currents and volt-seconds with sensor noise.
+    """Return (currents, volt-seconds) with sensor noise.
 
-    White noise of 1 mA and 10 mV at 1 kHz, in converter steps of 0.5 mA and 5 mV.
+    The noise is white, 1 mA and 10 mV at 1 kHz; the converter steps are 0.5 mA and 5 mV.
     """
     machine, h = record.machine, record.h
     current_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-3, quantum=5e-4)
@@ -207,7 +207,7 @@ def with_noise(record: LevitationRecord) -> tuple[Array, Array]:
 
 
 def noisy(record: LevitationRecord, duration: float, memory: float) -> Noisy:
-    """Run the least squares on the noisy record; `memory` and first `duration` in s."""
+    """Run the least squares on the noisy record. `duration` and `memory` are in seconds."""
     rows = slice(0, round(duration / record.h) + 1)
     t = record.t[rows]
     current, v = with_noise(record)
@@ -229,7 +229,7 @@ def noisy(record: LevitationRecord, duration: float, memory: float) -> Noisy:
 def mechanics(run: LevitationRun) -> tuple[float, float]:
     """Return rms errors of position [m] and velocity [m/s] from the least squares' flux.
 
-    They refer to the time between the first second and the jump.
+    The errors are those between the first second and the jump.
     """
     base, estimate = run.record, run.least_squares
     rows, _ = thinned(base, LS_SAMPLE_TIME)

@@ -1,4 +1,4 @@
-"""Lemma 1: the constraint as a linear regression, in continuous time and exact on samples."""
+"""Lemma 1 writes the constraint as a linear regression: continuous, or exact on samples."""
 
 from .filtered import FilteredRegression, Filters
 from .periodic import Orbit, between, periodic_regression

@@ -1,7 +1,8 @@
 """Lemma 1 of the paper in continuous time: nine filters, for any number of ports.
 
-Two corrections (docs/errata.md): y_a in Φ_λ has the factor ν; the constant entry of y_b, whose
-regressor decays to zero, is omitted. ``form="printed"`` keeps the paper's Φ_λ, to show the error.
+This module makes two corrections (docs/errata.md). In Φ_λ, y_a gets the factor ν. The constant
+entry of y_b is omitted because its regressor decays to zero. ``form="printed"`` keeps the paper's
+Φ_λ to show the error.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from .regressors import Regressors
 
 
 class Filters(NamedTuple):
-    """ξ1 … ξ9 of the paper; ξ5 and ξ9 are scalars, the others are vectors (n,)."""
+    """ξ1 … ξ9 of the paper; ξ5 and ξ9 are scalars, all other filters are vectors (n,)."""
 
     xi1: jax.Array
     xi2: jax.Array
@@ -37,13 +38,13 @@ class Filters(NamedTuple):
 
 
 class FilteredRegression(eqx.Module):
-    """The paper's filters and regression: ``g ↔ ν p²/(p + ν)²`` applied to the constraint.
+    """The paper's filters and regression, which apply ``g ↔ ν p²/(p + ν)²`` to the constraint.
 
     Parameters
     ----------
     constraint : QuadraticConstraint
     corner : float
-        ν [rad/s], > 0. The regression holds up to a transient e^{-νt}(1 + νt).
+        ν [rad/s], > 0. The regression holds except for a transient e^{-νt}(1 + νt).
     form : {"corrected", "printed"}
     """
 
@@ -69,19 +70,20 @@ class FilteredRegression(eqx.Module):
         self.form = form
 
     def init(self) -> Filters:
-        """Return all filters at zero."""
+        """Return all filters with value zero."""
         zero, scalar = jnp.zeros(len(self.E)), jnp.zeros(())
         return Filters(zero, zero, zero, zero, scalar, zero, zero, zero, scalar)
 
-    # These use operators only: they also serve many rows at once and, through `_plain`, NumPy.
+    # The methods below use only operators, so they also work on many rows at once and, with
+    # `_plain`, in NumPy.
 
     def known(self, current: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Return y_a and y_c of the corollary (y_b is the current itself)."""
+        """Return (y_a, y_c) of the corollary; y_b is the current itself."""
         y_c = _dot(current @ self.Q3, current) + current @ self.C
         return current @ self.Q2.T + self.E, y_c
 
     def derivative(self, xi: Filters, y_m: jax.Array, current: jax.Array) -> Filters:
-        """Return the time derivative from ``y_m = -R i_m + B u_m`` [V] and measured current [A]."""
+        """Return the time derivative for ``y_m = -R i_m + B u_m`` [V] and measured current [A]."""
         nu, forcing = self.corner, y_m @ self.Q1.T
         y_a, y_c = self.known(current)
         return Filters(
@@ -107,7 +109,7 @@ class FilteredRegression(eqx.Module):
             2 * xi.xi6,
             xi.xi1 - xi.xi7,
             nu * (current - xi.xi3 - xi.xi8),
-            0 * y_c + 2 / nu,  # one for every row
+            0 * y_c + 2 / nu,  # one value for every row
         )
 
 
@@ -116,25 +118,25 @@ def _dot(a: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def _plain(regression: FilteredRegression) -> FilteredRegression:
-    """Return the same regression in NumPy: no compilation for each new length of a record."""
+    """Return this regression in NumPy, which needs no compilation for each new record length."""
     plain: FilteredRegression = jax.tree.map(np.asarray, regression)
     return plain
 
 
-#: Filters that need only the signals; those that also need the first group; the last ones.
+#: Groups of filters. Each group needs the signals and the groups before it.
 _CASCADE = (("xi1", "xi2", "xi3"), ("xi4", "xi5", "xi7", "xi8"), ("xi6", "xi9"))
 
 
 def cascade(
     regression: FilteredRegression, lag: Callable[[Array], Array], y_m: Array, current: Array
 ) -> Filters:
-    """Return the nine filters, each a lag ``x' = -ν x + signal`` driven by the ones before it.
+    """Return the nine filters; each is a lag ``x' = -ν x + signal`` driven by earlier filters.
 
     Parameters
     ----------
     regression : FilteredRegression
     lag : callable
-        Returns x for a signal of shape (...) or (..., n), leading axis time.
+        Returns x for a signal of shape (...) or (..., n); the leading axis is time.
     y_m, current : (..., n) ndarray
     """
     plain: Any = _plain(regression)
@@ -142,19 +144,19 @@ def cascade(
     scalar: Any = np.zeros(y_m.shape[:-1])
     xi = Filters(vector, vector, vector, vector, scalar, vector, vector, vector, scalar)
     for names in _CASCADE:
-        # With the filter itself at zero, its derivative is its signal.
+        # If the filter's value is zero, its derivative is its signal.
         signals = plain.derivative(xi, y_m, current)
         outputs: dict[str, Any] = {name: lag(getattr(signals, name)) for name in names}
         xi = xi._replace(**outputs)
     return xi
 
 
-#: Places of the signals in an interval: start, middle, end.
+#: Relative positions of the signal values in an interval: start, middle, end.
 PLACES: Array = np.array([0.0, 0.5, 1.0])
 
 
 def _weights(z: float, until: float) -> Array:
-    """Return ∫₀^until e^{-z (until - τ)} p(τ) dτ, for the parabola p through :data:`PLACES`."""
+    """Return weights of the values at :data:`PLACES` in ∫₀^until e^{-z (until - τ)} p(τ) dτ."""
     nodes, weights = np.polynomial.legendre.leggauss(16)
     tau = until * (nodes + 1) / 2
     lagrange = np.array([(1 - tau) * (1 - 2 * tau), 4 * tau * (1 - tau), tau * (2 * tau - 1)])
@@ -167,10 +169,10 @@ def filter_record(
     y_m: ArrayLike,
     current: ArrayLike,
 ) -> Filters:
-    """Return the filters at every sample of a record, from zero.
+    """Return the filters at every sample of a record; they start at zero.
 
-    Every filter is a lag driven by the ones before it. It is integrated exactly for inputs that are
-    parabolas in each interval; the only error is the deviation of the inputs from these.
+    Every filter is a lag driven by earlier filters. Its integration is exact if the inputs are
+    parabolas in each interval; the only error is the deviation of the inputs from parabolas.
 
     Parameters
     ----------
@@ -178,19 +180,19 @@ def filter_record(
     h : float
         Sample time [s].
     y_m, current : (rows - 1, 3, n) array_like
-        Values at the start, middle and end of each interval; both may jump at samples.
+        Values at the start, middle and end of each interval; they may jump at samples.
 
     Returns
     -------
     Filters
-        With leading axis rows.
+        The leading axis is rows.
     """
     z = regression.corner * h
     y, i = np.asarray(y_m, float), np.asarray(current, float)
     whole, half = h * _weights(z, 1.0), h * _weights(z, 0.5)
 
     def lag(signal: Array) -> Array:
-        """Return x of ``x' = -ν x + signal`` from zero, at the same places."""
+        """Return x of ``x' = -ν x + signal``, starting at zero, at the places of the signal."""
         increment = np.tensordot(signal, whole, axes=(1, 0))
         end = lfilter([1.0], [1.0, -np.exp(-z)], increment, axis=0)
         start = np.concatenate([np.zeros((1, *end.shape[1:])), end[:-1]])
@@ -205,6 +207,6 @@ def filter_record(
 def read_out_record(
     regression: FilteredRegression, filters: Filters, current: ArrayLike
 ) -> Regressors:
-    """Return the regression at every sample, from the filters and measured currents (rows, n)."""
+    """Return the regression at every sample from the filters and measured currents (rows, n)."""
     i: Any = np.asarray(current, float)
     return _plain(regression).read_out(filters, i)

@@ -1,8 +1,8 @@
-"""The regression of a periodic trajectory in its steady state, to all digits.
+"""The regression of a periodic trajectory in steady state, exact to rounding.
 
 The filters of Lemma 1 are a cascade of lags driven by products of signals. In the periodic steady
-state every lag is a division in the frequency domain, without transient or step. Between the
-samples the regression is the trigonometric interpolant.
+state, every lag is a division in the frequency domain, which needs no time step and has no
+transient. Between the samples, the regression is the trigonometric interpolant.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from ...machines.model.constraint import QuadraticConstraint
 from .filtered import FilteredRegression, cascade, read_out_record
 from .regressors import Regressors
 
-#: Share of a signal's power that the highest tenth of its harmonics may have.
+#: Largest share of a signal's power in the highest tenth of its harmonics.
 RESOLVED = 1e-12
 
 
 class Orbit(NamedTuple):
-    """One period of the observer's measurements; uniform samples, the last at period - h.
+    """One period of the observer's measurements in uniform samples; the last is at period - h.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Orbit(NamedTuple):
 
 
 def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: Orbit) -> Regressors:
-    """Return Lemma 1, corrected, in periodic steady state at the samples of one period.
+    """Return the corrected regression of Lemma 1 in steady state at the samples of one period.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
     Raises
     ------
     ModelError
-        The samples are too few to resolve a signal.
+        If the samples are too few to resolve a signal.
     """
     y_m, i = np.asarray(orbit.y_m, float), np.asarray(orbit.current, float)
     regression = FilteredRegression(constraint, corner)
@@ -70,8 +70,8 @@ def periodic_regression(constraint: QuadraticConstraint, corner: float, orbit: O
         high = power[-max(1, len(power) // 10) :].sum(axis=0)
         if (high > RESOLVED * power.sum(axis=0)).any():
             raise ModelError(
-                f"{name}: {len(i)} samples a period do not resolve it; use more, and check that "
-                f"the period is {orbit.period:g} s"
+                f"{name}: {len(i)} samples per period do not resolve this signal; use more samples "
+                f"and check that the period is {orbit.period:g} s"
             )
     filters = cascade(regression, lag, y_m, i)
     return read_out_record(regression, filters, i)
@@ -84,7 +84,7 @@ def between(signal: ArrayLike, count: int, shift: float) -> Array:
     ----------
     signal : (samples, ...) array_like
     count : int
-        Number of points a period, at least `samples`.
+        Number of points per period, at least `samples`.
     shift : float
         Position of the first point, in steps of period/count.
     """

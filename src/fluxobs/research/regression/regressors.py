@@ -1,4 +1,4 @@
-"""The linear regression of Lemma 1, and parametrisations of its unknown constants."""
+"""The linear regression of Lemma 1 and parametrisations of its unknown constants."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...simulation.precision import real
 
 class Regressors(NamedTuple):
     """``y = Φ_fluxᵀλ + Φ_driftᵀθ + Φ_aᵀθ_a + Φ_bᵀθ_b + φ_c θᵀQ1θ`` with θ_a = -Q2 δ_i,
-    θ_b = -2 Q3 δ_i. In a record the leading axis is time.
+    θ_b = -2 Q3 δ_i. In a record, the leading axis is time.
     """
 
     y: jax.Array  # ()
@@ -28,7 +28,7 @@ class Regressors(NamedTuple):
     phi_c: jax.Array  # ()
 
     def part(self, rows: Any) -> Regressors:
-        """Return rows of a record: slice, mask or numbers. NumPy cuts them, without compilation."""
+        """Return rows of a record (slice, mask or numbers) in NumPy, which needs no compilation."""
         selected: Any = (np.asarray(entries)[rows] for entries in self)
         return Regressors(*selected)
 
@@ -46,16 +46,16 @@ class Parametrisation(eqx.Module):
     ----------
     constraint : QuadraticConstraint
     kind : {"printed", "structured", "voltage-bias"}
-        "printed": the paper's (θ, θ_a, θ_b, 2/ν θᵀQ1θ), without its entry 1 of y_b, whose regressor
-        vanishes. "structured": (θ, δ_i, θᵀQ1θ), with θ_a and θ_b as known functions of one current
-        bias. "voltage-bias": (θ, θᵀQ1θ), exact if the currents have no bias.
+        "printed" is the paper's (θ, θ_a, θ_b, 2/ν θᵀQ1θ) without the entry 1 of y_b, whose
+        regressor vanishes. "structured" is (θ, δ_i, θᵀQ1θ), with θ_a and θ_b as known functions of
+        one current bias. "voltage-bias" is (θ, θᵀQ1θ), exact if the currents have no bias.
     corner : float
         ν of the filters [rad/s]; it scales the last constant as in the paper.
 
     Notes
     -----
-    With a regular Q1 the printed regressor is never persistently exciting unless Q3 = 0: up to
-    decaying terms, ``Φ_flux = 2 Q1 Φ_a + Q2 Φ_b`` (erratum 5).
+    With a regular Q1, the printed regressor is persistently exciting only if Q3 = 0, because
+    ``Φ_flux = 2 Q1 Φ_a + Q2 Φ_b`` up to decaying terms (erratum 5).
     """
 
     Q1: jax.Array
@@ -82,7 +82,7 @@ class Parametrisation(eqx.Module):
         return len(self.Q1)
 
     def regressor(self, row: Regressors) -> jax.Array:
-        """Return Φ_θ of one row, (n_θ,)."""
+        """Return Φ_θ (n_θ,) of one row."""
         blocks = [row.Phi_drift]
         if self.kind == "printed":
             blocks.append(row.Phi_a)
@@ -95,7 +95,7 @@ class Parametrisation(eqx.Module):
         return jnp.concatenate(blocks)
 
     def constants(self, drift: Any, current_bias: Any) -> NDArray[np.float64]:
-        """Return the true constants for a drift [V] and a current bias [A], (n_θ,)."""
+        """Return the true constants (n_θ,) for a drift [V] and a current bias [A]."""
         theta = np.asarray(real("drift", drift, (self.n,)))
         delta = np.asarray(real("current_bias", current_bias, (self.n,)))
         Q1, Q2, Q3 = (np.asarray(matrix) for matrix in (self.Q1, self.Q2, self.Q3))
@@ -112,16 +112,16 @@ class Parametrisation(eqx.Module):
 
     @eqx.filter_jit
     def record(self, rows: Regressors) -> jax.Array:
-        """Return Φ_θ of all rows, (rows, n_θ)."""
+        """Return Φ_θ (rows, n_θ) of all rows."""
         return jax.vmap(self.regressor)(rows)
 
     def psi(self, row: Regressors) -> jax.Array:
-        """Return Ψ = (Φ_λ, Φ_θ) of one row, (n + n_θ,)."""
+        """Return Ψ = (Φ_λ, Φ_θ) of one row as an array (n + n_θ,)."""
         return jnp.concatenate([row.Phi_flux, self.regressor(row)])
 
     @eqx.filter_jit
     def psi_record(self, rows: Regressors) -> jax.Array:
-        """Return Ψ of all rows, (rows, n + n_θ)."""
+        """Return Ψ (rows, n + n_θ) of all rows."""
         return jax.vmap(self.psi)(rows)
 
     def __len__(self) -> int:
@@ -132,7 +132,7 @@ class Parametrisation(eqx.Module):
 def residual(
     rows: Regressors, constraint: QuadraticConstraint, flux: Any, drift: Any, current_bias: Any
 ) -> jax.Array:
-    """Return y minus the terms of true flux, drift and current bias; leading axes as in `rows`."""
+    """Return y minus the terms of true flux, drift and current bias, with the axes of `rows`."""
     Q1, Q2, Q3 = (jnp.asarray(getattr(constraint, name)) for name in ("Q1", "Q2", "Q3"))
     theta, delta = jnp.asarray(drift), jnp.asarray(current_bias)
     explained = (

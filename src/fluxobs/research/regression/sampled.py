@@ -1,7 +1,7 @@
 """Lemma 1 on samples, without discretisation error.
 
-It applies the kernel ``g ↔ ((1 - z⁻¹)/(1 - a z⁻¹))²``, a = e^{-νh}, to the constraint at all past
-samples. Volt-seconds express each in terms of the present flux. docs/theory.md, section 8.
+The kernel ``g ↔ ((1 - z⁻¹)/(1 - a z⁻¹))²``, a = e^{-νh}, is applied to the constraint at all past
+samples. The volt-seconds relate each past flux to the present flux (docs/theory.md, section 8).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from .regressors import Regressors
 
 
 class Moments(NamedTuple):
-    """Sums over the past, weighted by a double pole; two rows each, (2, …).
+    """Sums over the past, weighted by a double pole. Each sum has two rows: shape (2, …).
 
-    S are the volt-seconds between a past sample and now, j is its age in samples; a, c and i are
-    the known signals at that sample. ``SS`` sums Sᵀ Q1 S.
+    S is the volt-seconds from a past sample until now, j is that sample's age in samples; a, c and
+    i are the known signals at that sample. ``SS`` sums Sᵀ Q1 S.
     """
 
     one: jax.Array
@@ -64,7 +64,7 @@ class SampledRegression(eqx.Module):
                 raise ModelError(f"{name} must be positive, got {value}")
         for name in ("Q1", "Q2", "Q3", "E", "C"):
             setattr(self, name, jnp.asarray(getattr(constraint, name)))
-        # Arrays: another value then does not trigger a compilation.
+        # As arrays, new values do not trigger a compilation.
         self.corner, self.sample_time = jnp.asarray(corner), jnp.asarray(sample_time)
 
     def init(self) -> Moments:
@@ -78,19 +78,19 @@ class SampledRegression(eqx.Module):
     def step(
         self, moments: Moments, volt_seconds: jax.Array, current: jax.Array
     ) -> tuple[Moments, Regressors, tuple[jax.Array, jax.Array]]:
-        """Process one sample: volt-seconds (n,) of the interval ending now [Wb], current now [A].
+        """Process one sample: the volt-seconds [Wb] of the interval ending now and the current [A].
 
         Returns
         -------
         moments, regressors
         start : (m0, m1)
-            Moments of the kernel so far. Until they have decayed (after 15 … 20 over ν), the
-            regression is exact if ``m0 s - h m1 κ`` is added to its right side, with s and κ of the
-            immersion (whose E is part of a here).
+            Moments of the kernel so far. They decay within 15/ν … 20/ν. Until then, the regression
+            is exact if ``m0 s - h m1 κ`` is added to its right side. s and κ are those of the
+            immersion; here, the immersion's E is part of a.
         """
         m, v = moments, volt_seconds
         q = self.Q1 @ v
-        # Express the past in the new flux. Order matters: each line uses old values of those below.
+        # Express the past in the new flux. Order matters: each line uses old values of later lines.
         SS = m.SS + 2 * m.S @ q + m.one * (v @ q)
         Sa = m.Sa + m.a @ v
         jS = m.jS + m.S + (m.j + m.one)[:, None] * v
@@ -134,7 +134,7 @@ class SampledRegression(eqx.Module):
     def run(
         self, volt_seconds: Any, current: Any
     ) -> tuple[Regressors, tuple[jax.Array, jax.Array]]:
-        """Run a record: volt-seconds of the interval ending at each row, currents; (rows, n)."""
+        """Process the currents of a record and the volt-seconds before each row, both (rows, n)."""
         v, i = real("volt_seconds", volt_seconds), real("current", current)
         if v.shape != i.shape or v.ndim != 2 or v.shape[1] != len(self.E):
             raise ModelError(

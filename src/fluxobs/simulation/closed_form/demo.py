@@ -2,8 +2,8 @@
 
 A servo motor (machine "servo-400w") accelerates, is loaded, and reverses through zero. Position and
 currents are prescribed smooth functions. The machine's equations give the flux linkage, and its
-change gives the true voltages, free of integration errors. Then the flaws of a real drive are
-added: dead time and device drops of the inverter, and offsets, noise and quantisation of sensors.
+change gives the true voltages without integration errors. The errors of a real drive are then
+added: the inverter's dead time and device drops, and the sensors' offsets, noise and quantisation.
 
 ``python -m fluxobs.simulation.closed_form.demo FILE`` writes the log.
 """
@@ -27,20 +27,20 @@ from .signals import driven, inverter_loss, vectors
 #: The shipped log.
 LOG = Path(__file__).with_name("demo_log.csv")
 MACHINE = "servo-400w"
-SAMPLE_TIME = 2e-4  # s
-DURATION = 2.0  # s
-CURRENT_OFFSET = (0.15, -0.10)  # A, about 1 % of the rated current
-VOLTAGE_OFFSET = (-0.12, 0.08)  # V
-CURRENT_NOISE = 0.02  # A
-CURRENT_STEP = 0.01  # A: a 12-bit converter over ±20 A
-VOLTAGE_STEP = 0.005  # V: resolution of the modulator
-INVERTER_VOLTAGE = 0.15  # V per phase, dead time and device drops after compensation
-KNEE = 0.2  # A: the sign of a phase current is tanh(i / KNEE)
+SAMPLE_TIME = 2e-4  # In seconds.
+DURATION = 2.0  # In seconds.
+CURRENT_OFFSET = (0.15, -0.10)  # In ampere, about 1 % of the rated current.
+VOLTAGE_OFFSET = (-0.12, 0.08)  # In volt.
+CURRENT_NOISE = 0.02  # In ampere.
+CURRENT_STEP = 0.01  # In ampere, the step of a 12-bit converter over ±20 A.
+VOLTAGE_STEP = 0.005  # In volt, the resolution of the modulator.
+INVERTER_VOLTAGE = 0.15  # In volt per phase; dead time and drops after compensation.
+KNEE = 0.2  # In ampere; the sign of a phase current is tanh(i / KNEE).
 SEED = 20261121
 
 
 def smooth(t: Array, *knots: tuple[float, float]) -> Array:
-    """Interpolate knots (time, value) by half cosines; constant before and after them."""
+    """Interpolate knots (time, value) by half cosines; the value is constant outside the knots."""
     curve = np.full_like(t, knots[0][1])
     for (t0, y0), (t1, y1) in pairwise(knots):
         share = np.clip((t - t0) / (t1 - t0), 0.0, 1.0)
@@ -49,7 +49,7 @@ def smooth(t: Array, *knots: tuple[float, float]) -> Array:
 
 
 def generate() -> dict[str, Array]:
-    """Return the columns of the log: t, u_alpha, u_beta, i_alpha, i_beta, theta_e (the truth)."""
+    """Return the log's columns t, u_alpha, u_beta, i_alpha, i_beta and theta_e (the truth)."""
     machine = rotating(example(MACHINE))
     rows, parts = round(DURATION / SAMPLE_TIME), 16
     t = np.asarray(np.arange(rows * parts + 1) * SAMPLE_TIME / parts)

@@ -1,4 +1,4 @@
-"""An endless demonstration drive: accelerate, load, stop, reverse, warm up."""
+"""A demonstration drive that accelerates, is loaded, stops, reverses and warms up, without end."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .signals import driven, inverter_loss, vectors
 COLUMNS = ("t", "u_alpha", "u_beta", "i_alpha", "i_beta", "theta_e")
 #: Period of speed and load [s].
 CYCLE = 4.0
-#: The winding's resistance grows by this share, with this time constant [s].
+#: Share by which the winding's resistance grows; time constant of this growth [s].
 WARMER, WARMING = 0.25, 40.0
 _PARTS = 16
 

@@ -1,8 +1,8 @@
-"""A short record that exercises every branch of the observer, for its tests in C.
+"""A short record for the C tests of the observer; it uses every branch of the code.
 
-It is in closed form, quantised by converters: a start from rest at an unknown angle, a run-up, a
-voltage offset beyond its prior, a load step, samples that are missing, contradictory or absurd, a
-stop over which the flux is integrated, and a reversal.
+The record is in closed form and quantised by converters. It contains a start from rest at an
+unknown angle, a run-up, a voltage offset larger than its prior, a load step, missing, contradictory
+and implausible samples, a stop during which the flux is integrated, and a reversal.
 """
 
 from __future__ import annotations
@@ -17,50 +17,49 @@ from ...machines.model.frames import wrap
 from ...observers import LeastSquaresObserver
 from .signals import driven, vectors
 
-#: Samples per electrical period at full speed: PERIOD, more if a sample is shorter than USUAL [s],
-#: down to FASTEST if the EMF must be larger.
+#: Samples per electrical period at full speed: PERIOD. More if a sample is shorter than USUAL [s],
+#: fewer (at least FASTEST) if the EMF must be larger.
 PERIOD, FASTEST, USUAL = 36, 12, 1e-4
-#: EMF over the voltage error of resistance and inverter: twice the smallest ratio at which a
-#: position is valid.
+#: EMF over the voltage error of resistance and inverter. A position is valid above half this ratio.
 CLEAR = 4.0
-#: (row, share of full speed), linear in between. The stop is so long that an observer with a memory
-#: of 50 samples integrates the flux over it.
+#: (row, share of full speed), linear between the rows. The stop is so long that an observer with a
+#: memory of 50 samples integrates the flux during the stop.
 SPEED = ((0, 0.0), (40, 0.0), (140, 1.0), (660, 1.0), (740, 0.0), (1280, 0.0), (1380, -0.8))
-#: A memory of more than MEMORY samples prolongs the run without load after CRUISE_ROW: a valid
-#: position takes three memories, and all later events need one.
+#: A memory of more than MEMORY samples prolongs the run without load after CRUISE_ROW, because a
+#: valid position needs three memories and all later events need a valid position.
 CRUISE_ROW, MEMORY, MEMORIES = 140, 300, 3.5
 LOAD_ROW, ABSURD_ROW = 220, 380
 MISSING_CURRENT_ROW, MISSING_VOLTAGE_ROW, SPIKE_ROW = 280, 300, 320
 ROWS = 1540
-#: Bits of the current converter; its range is ± two rated currents.
+#: Bits of the current converter, whose range is ± two rated currents.
 BITS = 12
 START_ANGLE = 2.0
-#: Parts into which an interval is divided to integrate the current.
+#: Number of parts per interval when the current is integrated.
 PARTS = 16
 
 
 @dataclass(frozen=True)
 class FirmwareRecord:
-    """Rows as an interrupt sees them: a current, and the voltage of the interval before it.
+    """Rows as an interrupt gets them: a current and the voltage of the previous interval.
 
     Single precision represents all values exactly.
     """
 
-    voltage: Array  # (rows, 2) [V]
-    current: Array  # (rows, 2) [A]
-    theta_e: Array  # (rows,) the true angle [rad]
+    voltage: Array  # Shape (rows, 2) [V].
+    current: Array  # Shape (rows, 2) [A].
+    theta_e: Array  # True angle (rows,) [rad].
 
 
 def firmware_record(
     machine: RotatingMachine, observer: LeastSquaresObserver, unsure: float = 0.0
 ) -> FirmwareRecord:
-    """Return the record for a machine, with currents from a tenth to all of the rated current.
+    """Return the record for a machine, with currents from 0.1 to 1 times the rated current.
 
     Parameters
     ----------
     machine : RotatingMachine
     observer : LeastSquaresObserver
-        The record suits its sample time, memory and drift prior.
+        The record suits this observer's sample time, memory and drift prior.
     unsure : float
         Voltage error of resistance and inverter [V].
     """
@@ -68,8 +67,8 @@ def firmware_record(
     assert rated is not None
     longer = max(0, round(MEMORIES * (observer.memory / h - MEMORY)))
     rows = np.arange((ROWS + longer) * PARTS + 1) / PARTS
-    k = rows - np.clip(rows - CRUISE_ROW, 0, longer)  # row of the record without prolongation
-    emf = CLEAR * unsure / observer.flux_base  # as a speed [rad/s]
+    k = rows - np.clip(rows - CRUISE_ROW, 0, longer)  # Row of the record without prolongation.
+    emf = CLEAR * unsure / observer.flux_base  # Expressed as a speed [rad/s].
     longest = PERIOD * max(1.0, USUAL / h)
     period = float(np.clip(2 * np.pi / max(emf * h, 1e-9), FASTEST, longest))
     knots, shares = zip(*SPEED, strict=True)
@@ -86,7 +85,7 @@ def firmware_record(
     measured = np.round(vectors(true.current[1:] + bias) / step) * step
     measured[ABSURD_ROW + longer] = 1e6 * rated
     measured[MISSING_CURRENT_ROW + longer] = np.nan
-    # A spike that turns the position vector by one radian without changing its length.
+    # This spike turns the position vector by one radian without changing its length.
     L = machine.position_inductance
     x = (true.flux - L * true.current)[SPIKE_ROW + longer + 1]
     measured[SPIKE_ROW + longer] += vectors(x * (1 - np.exp(1j)) / L)

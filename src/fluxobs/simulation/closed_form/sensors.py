@@ -1,4 +1,4 @@
-"""Sensors: bias, noise and quantisation turn a true signal into a measured one."""
+"""Sensors with bias, noise and quantisation, which turn a true signal into a measured signal."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ...errors import ModelError
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """A piecewise constant signal: ``values[0]``, then ``values[k + 1]`` from ``times[k]`` on.
+    """A piecewise constant signal: ``values[0]`` at first, ``values[k + 1]`` from ``times[k]`` on.
 
     Parameters
     ----------
     values : (k + 1, n) array_like
     times : (k,) array_like
-        Increasing [s]; empty for a constant.
+        Increasing times [s]; empty for a constant signal.
 
     Examples
     --------
@@ -45,7 +45,7 @@ class Steps:
             object.__setattr__(self, name, array)
 
     def at(self, t: ArrayLike) -> Array:
-        """Return the values at times t (…), shape (…, n)."""
+        """Return the values (…, n) at the times t (…)."""
         return np.asarray(self.values[np.searchsorted(self.times, np.asarray(t), side="right")])
 
 
@@ -56,11 +56,11 @@ class Sensor:
     Parameters
     ----------
     bias : Steps
-        In the unit of the signal.
+        Bias in the unit of the signal.
     noise : float
         Standard deviation of white noise, >= 0.
     quantum : float
-        Step of the converter, >= 0; 0: no quantisation.
+        Step of the converter, >= 0; 0 means no quantisation.
     """
 
     bias: Steps
@@ -74,7 +74,7 @@ class Sensor:
                 raise ModelError(f"{name} must be a number >= 0, got {value}")
 
     def measure(self, t: ArrayLike, true: ArrayLike, seed: int) -> Array:
-        """Return the measured signal, (rows, n); the same seed gives the same signal."""
+        """Return the measured signal (rows, n); a seed always gives the same signal."""
         signal = np.asarray(true, float)
         measured = signal + self.bias.at(t)
         if self.noise > 0:

@@ -1,9 +1,9 @@
-"""True signals of a rotating machine in closed form, without accumulating integration errors.
+"""True signals of a rotating machine in closed form, without growing integration errors.
 
-Position and currents are prescribed. The machine gives the flux linkage; the flux change and the
-integral of the current give the mean voltage over each interval. The demo log, the firmware's test
-record, tests and benchmarks use these signals. Sensors (sensors.py) and inverter
-(:func:`inverter_loss`) are applied afterwards.
+Position and currents are prescribed. The machine model gives the flux linkage; the flux change and
+the integral of the current give the mean voltage over each interval. The demo log, the firmware's
+test record, tests and benchmarks use these signals. Sensors (sensors.py) and inverter
+(:func:`inverter_loss`) are applied later.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ AnyComplex = NDArray[np.complexfloating]
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Space vectors α + j β at rows + 1 instants and over the intervals between them.
+    """Space vectors α + j β at rows + 1 instants and over the intervals between these instants.
 
     Attributes
     ----------
     sample_time : float
         [s].
     theta_e : (rows + 1,) ndarray
-        Electrical angle, unwrapped [rad].
+        Unwrapped electrical angle [rad].
     flux, current : (rows + 1,) complex ndarray
-        [Wb], [A].
+        Values at the instants [Wb], [A].
     mean_current, voltage : (rows,) complex ndarray
-        Means over the intervals [A], [V]: ``voltage = R_s mean_current + Δflux / sample_time``.
+        Means over the intervals [A], [V], with
+        ``voltage = R_s mean_current + Δflux / sample_time``.
     """
 
     sample_time: float
@@ -60,8 +61,8 @@ def steady(
 ) -> Signals:
     """Return signals with a constant current in rotor coordinates [A].
 
-    `speed` [rad/s] is one number, or one per row; it is constant in each interval. Every integral
-    is exact.
+    `speed` [rad/s] is one number, or one number per row; it is constant in each interval. Every
+    integral is exact.
     """
     omega = np.broadcast_to(np.asarray(speed, float), (rows,)).copy()
     if np.ndim(speed) == 0:  # a sum over millions of rows would lose digits
@@ -84,11 +85,12 @@ def driven(
     parts: int,
     theta0: float = 0.0,
 ) -> Signals:
-    """Return signals for any course of speed [rad/s] and current in rotor coordinates [A].
+    """Return signals for arbitrary speed [rad/s] and current in rotor coordinates [A] over time.
 
-    Both have rows · parts + 1 instants, `parts` (even) per sample. The trapezoidal rule integrates
-    the angle, exactly if the speed is linear between the instants. Simpson's rule integrates the
-    current, with a relative error of about 1e-9 at 36 samples per period and 16 parts.
+    Speed and current have rows · parts + 1 instants: `parts` (an even number) per sample. The
+    trapezoidal rule integrates the angle; it is exact if the speed is linear between the instants.
+    Simpson's rule integrates the current; its relative error is about 1e-9 at 36 samples per period
+    and 16 parts.
     """
     h = sample_time / parts
     theta = theta0 + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * h)])
@@ -118,16 +120,16 @@ def driven_cage(
     sample_time : float
         [s].
     speed, psi, i_q : (rows parts + 1,) ndarray
-        Speed of the rotor flux [rad/s electrical], its length [Wb], current across it [A].
+        Rotor flux: electrical speed [rad/s], length [Wb], and current perpendicular to it [A].
     parts : int
-        Instants per sample, even.
+        Even number of instants per sample.
     theta0 : float
         Initial angle of the rotor flux [rad].
 
     Returns
     -------
     signals : Signals
-        theta_e is the angle of the rotor flux; i_d follows from psi and its derivative.
+        theta_e is the angle of the rotor flux; psi and its derivative determine i_d.
     mechanical : (rows + 1,) ndarray
         Speed of the shaft [rad/s].
     """
@@ -147,7 +149,7 @@ def driven_cage(
 
 
 def interval_means(values: AnyComplex, parts: int) -> Complex:
-    """Return means over intervals of `parts` (even) steps each, by Simpson's rule, (rows,)."""
+    """Return means (rows,) over intervals of `parts` (even) steps, by Simpson's rule."""
     weights = np.tile([2.0, 4.0], parts // 2) / (3 * parts)
     weights[0] /= 2
     inner = values[:-1].reshape(-1, parts) @ weights
@@ -155,7 +157,7 @@ def interval_means(values: AnyComplex, parts: int) -> Complex:
 
 
 def between_rows(values: ArrayLike, parts: int) -> NDArray[np.generic]:
-    """Interpolate linearly between rows, ``parts`` values per sample, for :func:`driven`."""
+    """Interpolate linearly to ``parts`` values per sample, for :func:`driven`."""
     rows = np.asarray(values)
     knots, k = np.arange(len(rows)), np.arange((len(rows) - 1) * parts + 1) / parts
     if np.iscomplexobj(rows):
@@ -164,9 +166,9 @@ def between_rows(values: ArrayLike, parts: int) -> NDArray[np.generic]:
 
 
 def inverter_loss(current: AnyComplex, voltage: float, knee: float) -> Complex:
-    """Return the voltage lost to dead time and device drops, `voltage` per phase [V].
+    """Return the voltage lost through dead time and device drops: `voltage` per phase [V].
 
-    It opposes the phase current, whose sign is ``tanh(i / knee)``, knee in ampere.
+    The loss opposes the phase current, whose sign is ``tanh(i / knee)`` with knee in ampere.
     """
     phases = ((current * np.exp(-2j * np.pi / 3 * k)).real for k in range(3))
     direction = clarke(*(np.tanh(phase / knee) for phase in phases))
@@ -174,7 +176,7 @@ def inverter_loss(current: AnyComplex, voltage: float, knee: float) -> Complex:
 
 
 def vectors(z: AnyComplex) -> Array:
-    """Return α and β of complex numbers, (..., 2)."""
+    """Return (α, β) of complex numbers as an array (..., 2)."""
     return np.stack([np.real(z), np.imag(z)], axis=-1)
 
 
@@ -186,7 +188,7 @@ def _with_voltage(
     current: AnyComplex,
     mean_current: AnyComplex,
 ) -> Signals:
-    """Return the signals, completed by the voltage."""
+    """Return the signals together with the voltage."""
     voltage = np.diff(flux) / sample_time + machine.R_s * mean_current
     space_vectors = (np.asarray(z, complex) for z in (flux, current, mean_current, voltage))
     return Signals(sample_time, theta, *space_vectors)

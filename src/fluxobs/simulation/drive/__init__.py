@@ -1,6 +1,6 @@
-"""Closed-loop drives: motor, inverter, sensors, control, and the observer in the loop."""
+"""Closed-loop drives with motor, inverter, sensors, control, and an observer in the loop."""
 
-from .. import precision  # noqa: F401  # before anything else: float64
+from .. import precision  # noqa: F401  # first, because it enables float64
 from .control import Control
 from .examples import RATINGS, Rating, encoder_drive, rating, sensorless_drive
 from .inverter import Inverter

@@ -15,9 +15,9 @@ from ..precision import not_negative, positive, real
 from .motor import LEAST_FLUX, CageMotor, Motor
 from .vectors import ROOT3, length, limit
 
-#: For a cage: bandwidth of the rotor flux [rad/s], 1.6 times its open-loop value; largest share of
-#: the voltage for the EMF, the rest being for leakage and load steps; largest share of the current
-#: limit for i_d.
+#: Bandwidth of a cage's rotor flux [rad/s], 1.6 times its open-loop value. Largest share of the
+#: voltage for the EMF; leakage and load steps need the rest. Largest share of the current limit for
+#: i_d.
 FLUX_BANDWIDTH, FLUX_VOLTAGE, FLUX_CURRENT = 15.0, 0.8, 0.8
 
 
@@ -34,11 +34,11 @@ class Control(eqx.Module):
 
     The current controller uses internal model control: L. Harnefors and H.-P. Nee, "Model-based
     current control of AC machines using the internal model control method", IEEE Trans. Industry
-    Applications 34 (1998), doi:10.1109/28.658735. It has gains α L, an active resistance α L - R,
-    and back calculation from the realisable voltage. The speed controller is a PI with a double
-    pole at α_s and back calculation from the realisable torque.
+    Applications 34 (1998), doi:10.1109/28.658735. The current controller has gains α L, an active
+    resistance α L - R, and back calculation from the realisable voltage. The speed controller is a
+    PI controller with a double pole at α_s and back calculation from the realisable torque.
 
-    :meth:`of` creates it with suitable gains.
+    :meth:`of` creates a controller with suitable gains.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Control(eqx.Module):
     current_limit : float
         Peak current [A].
     i_d_min : float
-        Smallest i_d; keeps the flux of reluctance machines observable [A].
+        Smallest i_d [A]; it keeps the flux of reluctance machines observable.
     weakening : float
         Gain of the field weakening [A/(V s)]; 0 disables it.
     voltage_use : float
@@ -85,9 +85,9 @@ class Control(eqx.Module):
     ) -> Self:
         """Create a controller with defaults for omitted parameters.
 
-        Current bandwidth: 1/16 of the sampling frequency in rad/s, at most 2π 200 rad/s. Speed
-        bandwidth: a tenth of the current bandwidth, at most 2π 8 rad/s. Smallest i_d of a
-        reluctance machine: 0.3 of the current limit.
+        The current bandwidth is 1/16 of the sampling frequency in rad/s, at most 2π 200 rad/s. The
+        speed bandwidth is a tenth of the current bandwidth, at most 2π 8 rad/s. The smallest i_d of
+        a reluctance machine is 0.3 of the current limit.
         """
         h = float(sample_time)
         default_bandwidth = min(2 * np.pi * 200, 2 * np.pi / h / 16)
@@ -126,7 +126,7 @@ class Control(eqx.Module):
         return self.motor.torque_dq(i_d, jnp.sqrt(self.current_limit**2 - i_d**2))
 
     def _best_i_d(self, size: Array) -> Array:
-        """Return the i_d of largest torque at a current of this magnitude."""
+        """Return the i_d that gives the largest torque at a current of this magnitude."""
         k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
         root = jnp.sqrt(psi**2 + 8 * (k * size) ** 2)
         return 2 * k * size**2 / jnp.maximum(psi + root, 1e-300)
@@ -145,7 +145,7 @@ class Control(eqx.Module):
         """
         k, psi = self.motor.L_d - self.motor.L_q, self.motor.psi_f
         largest = self.current_limit
-        # Exact for surface and reluctance machines; a starting point for interior magnets.
+        # This i_q is exact for surface and reluctance machines, a first guess for interior magnets.
         active_flux_i_q = torque / (1.5 * self.motor.n_p)
         root = jnp.sqrt(psi**2 + 4 * jnp.abs(k * active_flux_i_q))
         i_q = 2 * active_flux_i_q / jnp.maximum(psi + root, 1e-300)
@@ -157,7 +157,7 @@ class Control(eqx.Module):
             i_d = jnp.maximum(i_d, self.i_d_min)
             active = psi + k * i_d
             i_q = (i_q + active_flux_i_q / jnp.where(active > 0, active, 1.0)) / 2
-        # Zero flux makes no torque: weaken no further.
+        # Zero flux gives no torque, so weakening ends at zero flux.
         floor = jnp.where(psi > 0, -psi / self.motor.L_d, self.i_d_min)
         i_d = jnp.clip(jnp.maximum(i_d - weakening, floor), -largest, largest)
         i_q = active_flux_i_q / jnp.maximum(psi + k * i_d, 1e-300)
@@ -167,7 +167,7 @@ class Control(eqx.Module):
     def speed_step(
         self, state: ControlState, reference: Array, speed: Array
     ) -> tuple[ControlState, Array, Array]:
-        """Return the torque for a speed error [N m], and whether the current limit cuts it."""
+        """Return (state, torque for a speed error [N m], whether the current limit is reached)."""
         a, J, h = self.speed_bandwidth, self.inertia, self.sample_time
         error = reference - speed
         wanted = 2 * a * J * error + state.torque
@@ -190,10 +190,10 @@ class Control(eqx.Module):
         dc_link: Array,
         aligned: Array | bool = True,
     ) -> tuple[ControlState, Array, Array]:
-        """Return the realisable voltage for a current error, in dq, and whether the limit cut it.
+        """Return (state, realisable dq voltage for a current error, whether its limit is reached).
 
-        If the frame is not `aligned` with the rotor, either inductance may act on an axis: both
-        axes then use the gains of the smaller one, without feed-forward of the EMF.
+        If the frame is not `aligned` with the rotor, L_d or L_q may act on an axis. Both axes then
+        use the gains of the smaller inductance, without feed-forward of the EMF.
         """
         a, h = self.current_bandwidth, self.sample_time
         L_d, L_q = self._inductances(aligned)
@@ -223,13 +223,13 @@ class Control(eqx.Module):
         return state._replace(voltage=voltage - self._feed_forward(current, speed_e, aligned))
 
     def _inductances(self, aligned: Array | bool) -> tuple[Array, Array]:
-        """Return the inductances of both axes; the smaller one twice if not aligned."""
+        """Return the inductances of both axes; if not aligned, the smaller inductance for both."""
         m = self.motor
         smaller = jnp.minimum(m.L_d, m.L_q)
         return jnp.where(aligned, m.L_d, smaller), jnp.where(aligned, m.L_q, smaller)
 
     def _feed_forward(self, current: Array, speed_e: Array, aligned: Array | bool) -> Array:
-        """Return the cross-coupling voltage minus that of the active resistance a L - R."""
+        """Return the cross-coupling voltage minus the voltage of the active resistance a L - R."""
         m, a = self.motor, self.current_bandwidth
         L_d, L_q = self._inductances(aligned)
         speed_e = jnp.where(aligned, speed_e, 0.0)
@@ -242,8 +242,8 @@ class Control(eqx.Module):
     def check(self) -> None:
         """Raise ModelError if the current loop with one sample of delay is unstable.
 
-        Check each axis alone at standstill, with the controller's motor parameters and an exact
-        discretisation.
+        The check treats each axis alone at standstill, with the controller's motor parameters and
+        an exact discretisation.
         """
         h, a = float(self.sample_time), float(self.current_bandwidth)
         for axis, L in (("d", float(self.motor.L_d)), ("q", float(self.motor.L_q))):
@@ -251,19 +251,19 @@ class Control(eqx.Module):
             if not radius < 1:
                 raise ModelError(
                     f"current_bandwidth = {a:.4g} rad/s is unstable at sample_time = {h:g} s: "
-                    f"poles up to {radius:.3g} on the {axis} axis. Stay below {0.5 / h:.4g} rad/s"
+                    f"poles up to {radius:.3g} on the {axis} axis; stay below {0.5 / h:.4g} rad/s"
                 )
         speed = float(self.speed_bandwidth)
         if not 0 < speed < a:
             raise ModelError(
-                f"speed_bandwidth = {speed:.4g} rad/s must be positive and below the current's, "
-                f"{a:.4g} rad/s; a tenth of that is usual"
+                f"speed_bandwidth = {speed:.4g} rad/s must be positive and below "
+                f"current_bandwidth = {a:.4g} rad/s; a tenth of current_bandwidth is usual"
             )
 
     def current_loop(self, L: float) -> np.ndarray:
-        """Return the transition matrix (3, 3) of an axis: current, pending voltage, integrator.
+        """Return the transition matrix (3, 3) of an axis' current, pending voltage and integrator.
 
-        It is exact at standstill, for zero reference, one sample of delay and a held voltage.
+        The matrix is exact at standstill for zero reference, one sample of delay and held voltage.
         """
         h, a, R = float(self.sample_time), float(self.current_bandwidth), float(self.motor.R_s)
         decay = np.exp(-R * h / L)
@@ -274,10 +274,10 @@ class Control(eqx.Module):
 class CageControl(Control):
     """Rotor-field-oriented control of an induction machine.
 
-    i_d controls the rotor flux with :data:`FLUX_BANDWIDTH`, to its rated value or less if the
-    voltage limit requires it. i_q makes the torque with the present flux. The principle is K.
-    Hasse's and F. Blaschke's; see D. W. Novotny and T. A. Lipo, *Vector Control and Dynamics of AC
-    Drives*, Oxford 1996.
+    i_d controls the rotor flux with :data:`FLUX_BANDWIDTH`. The flux reference is the rated value,
+    or less if the voltage limit requires it. i_q produces the torque with the present flux. The
+    principle is that of K. Hasse and F. Blaschke; see D. W. Novotny and T. A. Lipo, *Vector Control
+    and Dynamics of AC Drives*, Oxford 1996.
     """
 
     motor: CageMotor

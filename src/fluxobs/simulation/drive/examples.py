@@ -1,4 +1,4 @@
-"""Drives with the shipped machines, with or without an encoder."""
+"""Drives of the shipped machines, with or without an encoder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .simulate import Drive
 
 @dataclass(frozen=True)
 class Rating:
-    """Data of a drive that its machine file lacks.
+    """Data of a drive that are not in its machine file.
 
     Attributes
     ----------
@@ -64,10 +64,10 @@ def rating(name: str) -> Rating:
     Raises
     ------
     ModelError
-        The machine has no rating; the message lists machines with one.
+        If the machine has no rating. The message lists the machines with a rating.
     """
     if name not in RATINGS:
-        raise ModelError(f"no drive is defined for {name!r}; there is one for {', '.join(RATINGS)}")
+        raise ModelError(f"no drive is defined for {name!r}; choose one of {', '.join(RATINGS)}")
     return RATINGS[name]
 
 
@@ -81,7 +81,7 @@ def _rated_current(machine: RotatingMachine) -> float:
 def _start_current(machine: RotatingMachine) -> float:
     """Return the length of the current vector that turns the rotor in open loop [A].
 
-    For a cage it gives rated flux at the slip of largest torque.
+    For a cage, this current gives rated flux at the slip of largest torque.
     """
     if machine.flux_moves:
         return float(np.sqrt(2) * machine.magnetizing_current)
@@ -89,9 +89,9 @@ def _start_current(machine: RotatingMachine) -> float:
 
 
 def _control(motor: Motor, machine: RotatingMachine, rated: Rating, **options: Any) -> Control:
-    """Create control for 1.5 times the rated current.
+    """Create a controller for 1.5 times the rated current.
 
-    Field weakening reaches that current within 20 ms if the voltage exceeds its limit by udc.
+    If the voltage exceeds its limit by udc, field weakening reaches this current within 20 ms.
     """
     limit = 1.5 * _rated_current(machine)
     weakening = limit / (0.02 * rated.dc_link)
@@ -119,20 +119,20 @@ def sensorless_drive(
     speed_bandwidth: float | None = None,
     **sensors: Any,
 ) -> Drive:
-    """Create a drive like :func:`encoder_drive`, with the least squares in place of the encoder.
+    """Create a drive like :func:`encoder_drive`, with the least squares instead of the encoder.
 
     Parameters
     ----------
     memory : float
-        Memory of the observer [s]; about the time of half a turn at the slowest speed.
+        Memory of the observer [s]; choose about the time of half a turn at the slowest speed.
     believed : RotatingMachine, optional
-        Machine that observer and controller assume.
+        Machine that the observer and the controller assume.
     current_noise, drift_prior : float, optional
         Passed to :meth:`LeastSquaresObserver.for_machine`.
     speed_bandwidth : float, optional
         Bandwidth of the speed controller [rad/s]; default 0.75 over the memory, at most 2π 8. With
-        a wrong R the angle is wrong for one memory after each torque change, and a speed controller
-        that responds within that time can oscillate. With the right R it can be faster.
+        a wrong R, the angle is wrong for one memory after each torque change, and a speed
+        controller that responds within this time can oscillate. With the right R, it can be faster.
     """
     drive = encoder_drive(machine, rated, **sensors)
     assumed = machine if believed is None else believed
@@ -143,11 +143,11 @@ def sensorless_drive(
         current_noise=current_noise,
         drift_prior=drift_prior,
     )
-    # The speed controller needs a speed estimate as fast as with the usual memory.
+    # The speed controller needs a speed estimate that is as fast as with the default memory.
     bandwidth = min(TRACKER / MEMORY, 0.5 / rated.sample_time)
     compiled = replace(compiled, tracker_bandwidth=bandwidth)
-    # During `ride` a voltage error as large as the drift prior S turns the flux by half a radian.
-    # With that error a position is valid only above S/(0.14 ψ) (docs/theory.md, section 6).
+    # During `ride`, a voltage error equal to the drift prior S turns the flux by half a radian.
+    # With this error, a position is valid only above S/(0.14 ψ) (docs/theory.md, section 6).
     radian = compiled.flux_base / compiled.drift_prior
     ride, start_speed = 0.5 * radian, max(0.1 * rated.speed_e, 1.5 / (0.14 * radian))
     if speed_bandwidth is None:

@@ -11,12 +11,12 @@ from jax import Array
 
 from ...machines.model.flux_map import DEGREE, CageMap, FluxMap, TableMap
 
-#: Newton steps from a flux to its current: the residual is then rounding.
+#: Newton steps from a flux to its current, after which the residual is a rounding error.
 NEWTON = 8
 
 
 class Map(eqx.Module):
-    """A flux map, created by :meth:`of`; see :class:`fluxobs.machines.model.flux_map.FluxMap`."""
+    """A :class:`fluxobs.machines.model.flux_map.FluxMap` in JAX; create it with :meth:`of`."""
 
     cage: bool = eqx.field(static=True)
     is_table: bool = eqx.field(static=True)
@@ -27,10 +27,10 @@ class Map(eqx.Module):
     decay: Array
     still: Array
     ripple: Array
-    least: Array  # (2,) smallest i_d and i_q [A]
-    most: Array  # (2,) largest i_d and i_q [A]
-    over: Array  # (2,) intervals per ampere
-    coefficients: Array  # (d, q, 2)
+    least: Array  # Smallest i_d and i_q (2,) [A].
+    most: Array  # Largest i_d and i_q (2,) [A].
+    over: Array  # Intervals per ampere (2,).
+    coefficients: Array  # Shape (d, q, 2).
 
     @classmethod
     def of(cls, flux_map: FluxMap) -> Self:
@@ -54,9 +54,9 @@ class Map(eqx.Module):
         )
 
     def at(self, current: Array, rotor_flux: Array | float = 0.0) -> tuple[Array, Array, Array]:
-        """Return flux and its derivatives by i_d and i_q at a current d + j q.
+        """Return (flux, its derivative by i_d, its derivative by i_q) at a current d + j q.
 
-        `rotor_flux` [Wb] is that of a cage.
+        `rotor_flux` [Wb] is the rotor flux of a cage.
         """
         if not self.is_table:
             psi = rotor_flux if self.cage else self.psi
@@ -86,7 +86,7 @@ class Map(eqx.Module):
         return ((i < self.least) | (i > self.most)).any()
 
     def current(self, flux: Array, L_d: Array, L_q: Array) -> Array:
-        """Return the current of a flux, in rotor coordinates.
+        """Return the current at a flux, in rotor coordinates.
 
         Newton's method starts from the linear machine.
         """
@@ -107,12 +107,12 @@ class Map(eqx.Module):
         return current
 
 
-#: sin(x)/x - 1 in powers of x², |x| <= π/2, to 2e-9 (Abramowitz and Stegun, 4.3.97), as in C.
+#: sin(x)/x - 1 in powers of x², |x| <= π/2. Error 2e-9, as in C (Abramowitz, Stegun, 4.3.97).
 SINE = (-0.1666666664, 0.0083333315, -0.0001984090, 0.0000027526, -0.0000000239)
 
 
 def direction(angle: Array) -> Array:
-    """Return exp(j angle) of an angle in (-π, π], by the firmware's polynomial."""
+    """Return exp(j angle) of an angle in (-π, π], computed with the firmware's polynomial."""
 
     def sine(x: Array) -> Array:
         square, total = x * x, jnp.zeros_like(x)
@@ -126,7 +126,7 @@ def direction(angle: Array) -> Array:
 
 
 def _weights(t: Array) -> tuple[Array, Array]:
-    """Return values and derivatives of the three splines at t in [0, 1], (..., 3) each."""
+    """Return (values, derivatives) of the three splines at t in [0, 1], each (..., 3)."""
     u = 1 - t
     values = [u * u / 2, 1 / 2 + t * u, t * t / 2]
     slopes = [-u, u - t, t]

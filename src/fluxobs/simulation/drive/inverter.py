@@ -1,4 +1,4 @@
-"""Two-level inverter: from commanded to actual voltage."""
+"""Two-level inverter, which turns a commanded voltage into the actual voltage."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from .vectors import from_phases, phases
 
 
 class Inverter(eqx.Module):
-    """An inverter averaged over a switching period, or switching by carrier comparison.
+    """An inverter that is averaged over a switching period or switches by carrier comparison.
 
-    Each sample is one switching period with centred pulses: sampled currents have no ripple. Every
-    turn-on is delayed by `dead_time`. A leg's pulse is shorter by that time if its current flows
-    out, longer if it flows in. The devices drop `drop` + `R_on` |i| against the current.
+    Each sample is one switching period with centred pulses, so sampled currents have no ripple.
+    Every turn-on is delayed by `dead_time`. A leg's pulse is shorter by this time if its current
+    flows out, and longer if its current flows in. The voltage drop of the devices, `drop` + `R_on`
+    |i|, opposes the current.
 
     Parameters
     ----------
     dead_time : float
         Dead time [s], >= 0.
     drop, R_on : float
-        Forward voltage and resistance of switch or diode [V], [Ω], >= 0.
+        Forward voltage [V] and resistance [Ω] of a switch or diode, >= 0.
     smoothing : float
-        Current over which the averaged inverter smooths the sign, the size of the ripple [A], > 0.
+        Size of the current ripple [A], > 0, over which the averaged inverter smooths the sign.
     switching : int
-        Integration intervals per sample of the switching inverter; 0 for the averaged one.
+        Integration intervals per sample of the switching inverter; 0 for the averaged inverter.
     """
 
     dead_time: Array
@@ -50,12 +51,12 @@ class Inverter(eqx.Module):
         self.R_on, self.smoothing = not_negative("R_on", R_on), positive("smoothing", smoothing)
         if not isinstance(switching, int) or isinstance(switching, bool) or switching < 0:
             raise ModelError(
-                f"switching must be a number of intervals, 0 for averaged, got {switching!r}"
+                f"switching must be a number of intervals, or 0 to average, got {switching!r}"
             )
         self.switching = switching
 
     def duties(self, voltage: Array, dc_link: Array) -> Array:
-        """Return duty cycles (3,) in [0, 1] for a voltage vector, with centred zero sequence."""
+        """Return duty cycles (3,) in [0, 1] for a voltage vector, with a centred zero sequence."""
         share = phases(voltage) / dc_link
         centre = (jnp.max(share) + jnp.min(share)) / 2
         return jnp.clip(0.5 + share - centre, 0.0, 1.0)
@@ -70,10 +71,10 @@ class Inverter(eqx.Module):
     def switched(
         self, duties: Array, dc_link: Array, current: Array, period: Array, part: Array
     ) -> Array:
-        """Return the mean voltage over interval `part` of `switching` [V], with exact edges."""
+        """Return the mean voltage [V] over interval `part`, with exact switching edges."""
         i = phases(current)
         outwards = i > 0
-        # Dead time delays the upper switch if the current flows out, else the lower one.
+        # Dead time delays the upper switch if the current flows out, else the lower switch.
         on = (1 - duties) / 2 + jnp.where(outwards, self.dead_time / period, 0.0)
         off = (1 + duties) / 2 + jnp.where(outwards, 0.0, self.dead_time / period)
         # A leg that stays on one side has no edges.

@@ -1,9 +1,9 @@
 """A compiled observer in the loop of a simulated drive: XLA calls the C of the firmware.
 
-The handler is part of the compiled modules (``binding/xla.cpp``) and needs no compiler and no
-jaxlib at build time. A simulation calls it once a sample for all drives of a batch; state and
-parameters are arrays of bytes, so that it works within ``jit``, ``vmap`` and ``scan``. It has no
-derivative.
+The handler is part of the compiled modules (``binding/xla.cpp``) and needs neither a compiler nor
+jaxlib at build time. A simulation calls the handler once per sample for all drives of a batch.
+State and parameters are arrays of bytes, so that the handler works within ``jit``, ``vmap`` and
+``scan``. The handler has no derivative.
 """
 
 from __future__ import annotations
@@ -27,8 +27,10 @@ MODULES: dict[str, ModuleType] = {"double": _core, "single": _core_single}
 
 
 class Reading(NamedTuple):
-    """Estimate of one sample; fields as in :class:`fluxobs.observers.Estimate`. The adaptive
-    observer's `psi_f` is its estimate of the magnet flux."""
+    """Estimate of one sample with the fields of :class:`fluxobs.observers.Estimate`.
+
+    The adaptive observer's `psi_f` is its estimate of the magnet flux.
+    """
 
     flux: Array
     psi_f: Array
@@ -43,10 +45,10 @@ class Reading(NamedTuple):
 
 
 class LoopObserver(eqx.Module):
-    """A plain or adaptive observer for :class:`Drive`; its numbers are those of the compiled one.
+    """A plain or adaptive observer for :class:`Drive`; its numbers equal the compiled observer's.
 
-    Create it with :meth:`of`. The same object with stacked leaves is a batch of observers, for a
-    batch of machines.
+    Create it with :meth:`of`. An object with stacked leaves is a batch of observers for a batch of
+    machines.
 
     Examples
     --------
@@ -68,7 +70,7 @@ class LoopObserver(eqx.Module):
 
     @classmethod
     def of(cls, observer: LeastSquaresObserver | AdaptiveObserver) -> Self:
-        """The observer for the loop, in its own precision: "single" is that of most firmware."""
+        """Return the observer for the loop, in its own precision; most firmware uses "single"."""
         plain = observer.plain if isinstance(observer, AdaptiveObserver) else observer
         return cls(
             parameters=jnp.asarray(observer._core.image()),
@@ -80,11 +82,11 @@ class LoopObserver(eqx.Module):
         )
 
     def init(self) -> Array:
-        """State in which nothing is known."""
+        """Return the state before the first sample."""
         return self.initial_state
 
     def step(self, state: Array, voltage: Array, current: Array) -> tuple[Array, Reading]:
-        """Process a sample: mean voltage over the interval ending now [V], the current now [A]."""
+        """Process a sample: mean voltage [V] over the interval ending now and current [A] now."""
         columns = _columns(self.precision, self.adaptive)
         count = sum(components for _, components in columns) + 1
         shapes = (
@@ -108,7 +110,7 @@ class LoopObserver(eqx.Module):
         return state, Reading(**{name: values[name] for name in Reading._fields})
 
     def run(self, voltage: Any, current: Any) -> Estimate:
-        """Run over a whole record from the initial state, (rows, 2) each.
+        """Process a record of voltages (rows, 2) and currents (rows, 2) from the initial state.
 
         Row k's voltage is the mean over the interval that ends at row k.
         """
@@ -131,7 +133,7 @@ def _run(observer: LoopObserver, voltage: Array, current: Array) -> Reading:
 
 @cache
 def _target(precision: str, adaptive: bool) -> str:
-    """Name under which XLA knows the observer's step; registered once a process."""
+    """Return the name under which XLA knows the observer's step; register it once per process."""
     module = MODULES[precision]
     name = f"fluxobs_{'adaptive_' if adaptive else ''}step_{precision}"
     handler = module.xla_adaptive_step if adaptive else module.xla_step
@@ -140,7 +142,7 @@ def _target(precision: str, adaptive: bool) -> str:
 
 
 def _columns(precision: str, adaptive: bool) -> list[tuple[str, int]]:
-    """(name, components) of the columns that the step writes."""
+    """Return (name, components) of the columns that the step writes."""
     module = MODULES[precision]
     columns: list[tuple[str, int]] = module.adaptive_outputs if adaptive else module.outputs
     return columns

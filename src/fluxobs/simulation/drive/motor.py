@@ -1,9 +1,9 @@
-"""The plant: a machine with magnets, saliency, a flux map or a cage, and its mechanics.
+"""The plant: a machine (with magnets, saliency, a flux map or a cage) and its mechanics.
 
-In stator coordinates ``λ̇ = u - R i``, torque ``1.5 n_p Im(λ* i)``. The current is a function of the
-flux and the rotor's vector, ``motor.current(flux, rotor)``. That vector is the direction exp(jθ_e)
-or, for a cage, the rotor flux. Integrating both needs no sine, and the voltage, which the inverter
-holds in stator coordinates, needs no rotation.
+In stator coordinates, ``λ̇ = u - R i`` and the torque is ``1.5 n_p Im(λ* i)``. The current is a
+function of the flux and the rotor's vector, ``motor.current(flux, rotor)``. The rotor's vector is
+the direction exp(jθ_e) or, for a cage, the rotor flux. Integrating flux and rotor's vector needs no
+sine. The voltage needs no rotation, because the inverter holds it in stator coordinates.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from ..runge_kutta import runge_kutta_step
 from .flux_map import Map
 from .vectors import length, turn
 
-#: Up to this many integration steps per sample are unrolled; more run in a loop.
+#: Largest number of integration steps per sample that are unrolled; more steps run in a loop.
 UNROLLED = 4
-#: Slip is computed with at least this share of the rated rotor flux.
+#: Smallest rotor flux in the slip's equation, as a share of the rated rotor flux.
 LEAST_FLUX = 0.1
 #: Gauss nodes of the energy integral of a flux map.
 ENERGY_NODES = 16
 
 
 class Motor(eqx.Module):
-    """A motor with constant inductances: R_s [Ω], L_d, L_q [H], psi_f [Wb], n_p.
+    """A motor with constant inductances and the parameters R_s [Ω], L_d, L_q [H], psi_f [Wb], n_p.
 
     ``i = e(θ)((λ_d - ψ)/L_d + j λ_q/L_q)``; the rotor's vector is its direction exp(jθ_e).
     """
@@ -53,7 +53,7 @@ class Motor(eqx.Module):
 
     @staticmethod
     def of(machine: RotatingMachine) -> Motor:
-        """Create the motor of a machine; a magnet machine needs its psi_f."""
+        """Create the motor of a machine; a machine with magnets needs psi_f."""
         machine = rotating(machine, "the simulation of drives")
         psi = machine.magnet_flux
         if psi is None:
@@ -73,7 +73,7 @@ class Motor(eqx.Module):
         return [float(self.R_s) / min(float(self.L_d), float(self.L_q))]
 
     def rotor(self, direction: Array) -> Array:
-        """Return the rotor's vector without current, for a rotor at `direction`."""
+        """Return the rotor's vector without current for a rotor in the direction `direction`."""
         return direction
 
     def rotor_rate(self, rotor: Array, current: Array, speed_e: Array) -> Array:
@@ -121,7 +121,7 @@ class Motor(eqx.Module):
 
 
 class MappedMotor(Motor):
-    """A motor with a flux map; a controller without a map uses L_d, L_q and psi_f."""
+    """A motor with a flux map; controllers without a map use L_d, L_q and psi_f."""
 
     map: Map
 
@@ -138,7 +138,7 @@ class MappedMotor(Motor):
         smallest = min(float(by_d.real.min()), float(by_q.imag.min()))
         if not smallest > 0:
             raise ModelError(
-                f"the flux map has an inductance of {smallest:.3g} H in its range, must be positive"
+                f"the flux map's smallest inductance in its range is {smallest:.3g} H, not positive"
             )
         return [float(self.R_s) / smallest]
 
@@ -149,7 +149,7 @@ class MappedMotor(Motor):
         return rotor * self.map.current(flux * jnp.conj(rotor), self.L_d, self.L_q)
 
     def field_energy(self, current: Array, rotor: Array) -> Array:
-        """Return the magnetic energy of the currents [J]: ∫ i dλ on a straight path from i = 0."""
+        """Return the magnetic energy of the currents [J], ∫ i dλ on a straight path from i = 0."""
         i = current * jnp.conj(rotor)
         nodes, weights = np.polynomial.legendre.leggauss(ENERGY_NODES)
         total = jnp.zeros(())
@@ -160,10 +160,11 @@ class MappedMotor(Motor):
 
 
 class CageMotor(Motor):
-    """A cage induction machine, inverse-Γ: ``λ = L_σ i + ψ``, ``ψ̇ = R_R (i - i_M) + jω ψ``.
+    """A cage induction machine in inverse-Γ form: ``λ = L_σ i + ψ``, ``ψ̇ = R_R (i - i_M) + jω ψ``.
 
-    The rotor's vector is its flux ψ [Wb]; psi_f is the rated value. With main flux saturation the
-    magnetizing current is ``i_M = ψ/L_M · (1 + s |ψ/ψ_R|⁴)/(1 + s)``, with L_M at rated flux.
+    The rotor's vector is the rotor flux ψ [Wb]; psi_f is its rated value. With main flux
+    saturation, ``i_M = ψ/L_M · (1 + s |ψ/ψ_R|⁴)/(1 + s)`` is the magnetizing current; L_M is its
+    inductance at rated flux.
 
     Parameters
     ----------
@@ -203,7 +204,7 @@ class CageMotor(Motor):
         return 0 * direction
 
     def magnetizing(self, psi: Array) -> Array:
-        """Return the inverse magnetizing inductance i_M/ψ at a length of the rotor flux [1/H]."""
+        """Return the inverse magnetizing inductance i_M/ψ [1/H] at a length of the rotor flux."""
         s = self.saturation
         return (1 + s * (psi / self.psi_f) ** 4) / ((1 + s) * self.L_M)
 
@@ -227,27 +228,28 @@ class CageMotor(Motor):
         return (flux - rotor) / self.L_d
 
     def field_energy(self, current: Array, rotor: Array) -> Array:
-        """Return the magnetic energy, including that of the main flux [J]."""
+        """Return the magnetic energy [J], including the energy of the main flux."""
         psi, s = length(rotor), self.saturation
         main = (1 + s / 3 * (psi / self.psi_f) ** 4) / ((1 + s) * self.L_M) * psi**2
         return 0.75 * (self.L_d * length(current) ** 2 + main)
 
 
 class Mechanics(eqx.Module):
-    """Rotor, load machine, and the coupling between them.
+    """Rotor, load machine, and the coupling between rotor and load machine.
 
     Parameters
     ----------
     J : float
-        Inertia of the rotor, with the load if `stiffness` is None [kg m²], > 0.
+        Inertia of the rotor [kg m²], > 0; it includes the load if `stiffness` is None.
     viscous : float
         Viscous friction [N m s].
     coulomb : float
-        Dry friction [N m], smoothed around standstill over `smoothing` [rad/s].
+        Dry friction [N m], smoothed near standstill over `smoothing` [rad/s].
     fan : float
-        Load torque over the square of the speed [N m s²].
+        Load torque divided by the square of the speed [N m s²].
     J_load, stiffness, damping : float, optional
-        Second inertia behind an elastic coupling [kg m², N m, N m s]; the load acts on it.
+        Inertia behind an elastic coupling, and the coupling's stiffness and damping [kg m², N m, N
+        m s]. The load acts on this inertia.
     """
 
     J: Array
@@ -290,11 +292,11 @@ class Mechanics(eqx.Module):
 class PlantState(NamedTuple):
     """State of motor and mechanics."""
 
-    flux: Array  # linkage [Wb]
-    rotor: Array  # its vector: direction exp(jθ_e), or flux of a cage [Wb]
-    speed: Array  # mechanical [rad/s]
-    load_speed: Array  # behind an elastic coupling [rad/s]
-    twist: Array  # of the coupling [rad]
+    flux: Array  # Flux linkage [Wb].
+    rotor: Array  # Rotor's vector: direction exp(jθ_e), or rotor flux of a cage [Wb].
+    speed: Array  # Mechanical speed [rad/s].
+    load_speed: Array  # Speed behind an elastic coupling [rad/s].
+    twist: Array  # Twist of the coupling [rad].
 
 
 class Plant(eqx.Module):
@@ -304,7 +306,7 @@ class Plant(eqx.Module):
     mechanics: Mechanics
 
     def standstill(self, theta_e: Any = 0.0, speed: Any = 0.0) -> PlantState:
-        """Return the state without current at an angle [rad] and a speed [rad/s]."""
+        """Return the state without current, at an angle [rad] and a speed [rad/s]."""
         rotor = self.motor.rotor(turn(real("theta_e", theta_e)))
         speed = real("speed", speed)
         return PlantState(self.motor.flux(0 * rotor, rotor), rotor, speed, speed, jnp.zeros(()))
@@ -336,13 +338,13 @@ class Plant(eqx.Module):
     def advance(
         self, state: PlantState, voltage: Array, load: Array, duration: Array, steps: int
     ) -> PlantState:
-        """Integrate by fourth-order Runge-Kutta in equal steps, with voltage and load held."""
+        """Integrate by fourth-order Runge-Kutta in equal steps, with held voltage and load."""
         h = duration / steps
 
         def step(_: Any, state: PlantState) -> PlantState:
             return runge_kutta_step(lambda state, _: self.rate(state, voltage, load), state, h)
 
-        # A loop costs run time; many unrolled steps cost minutes of compilation.
+        # A loop needs more run time; many unrolled steps need minutes of compilation.
         if steps <= UNROLLED:
             for k in range(steps):
                 state = step(k, state)

@@ -1,4 +1,4 @@
-"""Piecewise-linear functions of time: references, loads, biases, the DC link."""
+"""Piecewise-linear functions of time, for references, loads, biases and the DC link."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..precision import real
 
 
 class Profile(eqx.Module):
-    """Linear interpolation between knots; constant before the first and after the last.
+    """Linear interpolation between knots; constant before the first knot and after the last knot.
 
     Two knots at the same time are a jump.
 
     Parameters
     ----------
     times : (k,) array_like
-        Knot times [s], not decreasing.
+        Times of the knots [s], not decreasing.
     values : (k,) or (k, 2) array_like
         Values at the knots, in SI units.
 
@@ -46,7 +46,7 @@ class Profile(eqx.Module):
             or shape[1:] not in ((), (2,))
         ):
             raise ModelError(
-                f"a profile needs one value, a number or a pair (α, β), per time; got shapes "
+                f"a profile needs one value per time, a number or a pair (α, β); got shapes "
                 f"{self.values.shape} and {self.times.shape}"
             )
         if not isinstance(self.times, jax.core.Tracer):
@@ -59,15 +59,15 @@ class Profile(eqx.Module):
 
     @classmethod
     def of(cls, value: Any) -> Profile:
-        """Return a profile unchanged; turn a number or a vector into a constant profile."""
+        """Return a profile unchanged, or a constant profile from a number or a vector."""
         return value if isinstance(value, Profile) else cls([0.0], real("value", value)[None])
 
     def at(self, t: jax.Array) -> jax.Array:
-        """Return the values at times t (...), shape (...) or (..., 2)."""
+        """Return the values (...) or (..., 2) at the times t (...)."""
         after = jnp.searchsorted(self.times, t, side="right")
         low = jnp.maximum(after - 1, 0)
         high = jnp.minimum(after, len(self.times) - 1)
-        span = self.times[high] - self.times[low]  # zero beyond the ends
+        span = self.times[high] - self.times[low]  # zero outside the knots
         share = (t - self.times[low]) / jnp.where(span > 0, span, 1.0)
         if self.values.ndim == 2:
             share = share[..., None]

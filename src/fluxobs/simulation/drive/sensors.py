@@ -1,4 +1,4 @@
-"""Sensors of the drive: three phase currents and the DC link."""
+"""Sensors of the drive, for three phase currents and the DC link."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .vectors import from_phases, phases
 
 
 class Sensors(eqx.Module):
-    """Sensors of current and DC link; gains and limits are per phase, offset and noise in αβ.
+    """Sensors of current and DC link; gains and limits are per phase, offset and noise are in αβ.
 
     Parameters
     ----------
     offset : Profile, or (2,) array_like
-        Offset over time: constant, drifting or jumping [A].
+        Offset [A], which is constant, drifts or jumps.
     noise : float
         Standard deviation of an αβ component [A].
     gain : (3,) array_like
@@ -28,13 +28,13 @@ class Sensors(eqx.Module):
     quantum : float
         Step of the converter [A]; 0 for no quantisation.
     range : float
-        Range of the converter, ± this [A].
+        Range of the converter [A], from minus this value to plus this value.
     jitter : float
         Standard deviation of the sampling instant [s].
     dc_link_gain : float
-        Measured DC-link voltage over the true one.
+        Measured DC-link voltage divided by the true DC-link voltage.
     lag : float
-        Delay of the current sensors [s], well below a sample: they show i - lag di/dt.
+        Delay of the current sensors [s], well below a sample; the sensors show i - lag di/dt.
     """
 
     offset: Profile

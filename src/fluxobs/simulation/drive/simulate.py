@@ -1,4 +1,4 @@
-"""Simulate a whole drive sample by sample: one scan per record, batches by vmap."""
+"""Simulate a whole drive sample by sample, with one scan per record; vmap makes batches."""
 
 from __future__ import annotations
 
@@ -27,23 +27,24 @@ from .sensorless import RUNNING, Sensorless, SensorlessState
 from .sensors import Sensors
 from .vectors import length, limit, pair, turn, unit, vector
 
-#: Trip current over the current limit.
+#: Trip current divided by the current limit.
 TRIP = 3.0
-#: A speed does not follow its reference if the error exceeds this share of the largest reference.
+#: Speed error over the largest reference above which a speed does not follow its reference.
 UNFOLLOWED = 0.1
 #: Integration steps per sample above which a drive is too stiff for its sample time.
 MOST_STEPS = 100
 
 
 class Drive(eqx.Module):
-    """Everything between the speed reference and the shaft.
+    """All components between the speed reference and the shaft.
 
     Parameters
     ----------
     plant, inverter, sensors, control
     observer : LoopObserver, optional
-        It runs alongside, and in the loop with `sensorless`. Any module with `sample_time`, `init`
-        and `step` will do whose readings have the fields that :class:`Sensorless` and control use.
+        With `sensorless`, the observer is in the loop; otherwise it only runs alongside. It can be
+        any module with `sample_time`, `init` and `step` whose readings have the fields that
+        :class:`Sensorless` and control use.
     sensorless : Sensorless, optional
         If None, the controller uses an encoder.
     """
@@ -72,7 +73,7 @@ class Course(eqx.Module):
     dc_link : Profile or number
         DC-link voltage [V].
     voltage_offset : Profile or (2,)
-        Commanded minus true [V].
+        Commanded voltage minus true voltage [V].
     theta_e, start_speed : float
         Initial angle [rad] and speed [rad/s mechanical] of the rotor.
     """
@@ -100,31 +101,31 @@ class Course(eqx.Module):
 
 
 class Trace(NamedTuple):
-    """Rows of a run; vectors are complex, in αβ.
+    """Rows of a run; vectors are complex numbers in αβ.
 
-    Values are those at the sampling instant; voltages act from that row to the next.
+    Values are valid at the sampling instant; a row's voltages act until the next row.
     """
 
     current: Array
     measured_current: Array
-    voltage: Array  # commanded
-    true_voltage: Array  # mean over the interval
+    voltage: Array  # Commanded voltage.
+    true_voltage: Array  # Mean over the interval.
     flux: Array
     theta_e: Array
-    speed: Array  # mechanical [rad/s]
+    speed: Array  # Mechanical speed [rad/s].
     torque: Array
-    current_reference: Array  # rotor coordinates
+    current_reference: Array  # In rotor coordinates.
     mode: Array
     voltage_limited: Array
     current_limited: Array
     tripped: Array
-    reference: Array  # speed [rad/s]
+    reference: Array  # Speed reference [rad/s].
     reading: Reading | None
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something the user must know, with its first time and its share of the rows."""
+    """An event that the user must know, with its first time and its share of the rows."""
 
     what: str
     at: float
@@ -138,13 +139,13 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A simulated record; arrays as in :class:`Trace`, NumPy.
+    """A simulated record with the NumPy arrays of :class:`Trace`.
 
     Attributes
     ----------
     events : tuple of Event
-        Limits met, trips, hand-overs, lost positions, a reference not followed at the end. A trip
-        sets the voltage to zero: it shorts the terminals.
+        Limits reached, trips, hand-overs, lost positions, a reference not followed at the end. A
+        trip sets the voltage to zero, which shorts the terminals.
     """
 
     sample_time: float
@@ -153,7 +154,7 @@ class Run:
     events: tuple[Event, ...]
 
     def record(self) -> Record:
-        """Return the record that a log would have; row k's voltage acts from k to k + 1."""
+        """Return the record that a log would contain; row k's voltage acts from row k to k + 1."""
         trace = self.trace
         return Record(
             self.sample_time,
@@ -168,8 +169,8 @@ class _Loop(NamedTuple):
 
     plant: PlantState
     control: ControlState
-    acted: Array  # commanded voltage of the last interval
-    pending: Array  # commanded voltage computed last
+    acted: Array  # Commanded voltage of the last interval.
+    pending: Array  # Commanded voltage computed last.
     observer: Any
     sensorless: SensorlessState | None
     tripped: Array
@@ -200,13 +201,13 @@ def simulate(
     seed : int
         Seed of sensor noise and jitter.
     delay : bool
-        Apply a voltage one sample after the currents it was computed from, as a processor does.
+        Apply a voltage one sample after the currents from which it was computed, like a processor.
 
     Raises
     ------
     ModelError
-        The current loop is unstable, the load exceeds the torque at the current limit, or a state
-        is not finite.
+        If the current loop is unstable, the load exceeds the torque at the current limit, or a
+        state is not finite.
     """
     check(drive, course)
     rows = _count_rows(drive, duration)
@@ -229,28 +230,29 @@ def simulate_batch(
     Parameters
     ----------
     drives, courses, seeds
-        One of each per lane. All drives need the same components (with or without observer, elastic
-        or rigid), the same number of switching intervals, and the same sample time.
+        One drive, course and seed per lane (simulation). All drives need the same components (with
+        or without observer, elastic or rigid), the same number of switching intervals, and the same
+        sample time.
     keep : callable
-        Maps a row of the trace to the values to return. A record of everything takes half a
-        gigabyte for 256 seconds at 8 kHz: keep what you score, and `row.tripped` to detect trips.
-        Reusing the function object avoids a new compilation.
+        Function that returns the values to keep from a row of the trace. All values of 256 seconds
+        at 8 kHz need half a gigabyte, so keep only the values you evaluate, and `row.tripped` to
+        detect trips. Use one function object for all calls to avoid a new compilation.
     threads : int, optional
-        Default: one per processor.
+        Number of threads; the default is one per processor.
 
     Returns
     -------
-    Output of `keep`, as NumPy arrays with leading shape (lanes, rows).
+    Output of `keep` as NumPy arrays with the leading axes (lanes, rows).
 
     Raises
     ------
     ModelError
-        As for :func:`simulate`; the message names the lane.
+        As for :func:`simulate`. The message names the lane.
     """
     if not len(drives) == len(courses) == len(seeds) or not drives:
         raise ModelError(
-            f"a batch needs as many drives as courses and seeds, at least one; got {len(drives)}, "
-            f"{len(courses)} and {len(seeds)}"
+            f"a batch needs as many drives as courses and seeds, at least one; got {len(drives)} "
+            f"drives, {len(courses)} courses and {len(seeds)} seeds"
         )
     rows = _count_rows(drives[0], duration)
     sample_times = {float(drive.sample_time) for drive in drives}
@@ -276,8 +278,8 @@ def simulate_batch(
     finite = np.concatenate([chunk_finite for chunk_finite, _ in chunks])
     if not finite.all():
         raise ModelError(
-            f"the state of lane {int(np.argmin(finite))} is not finite at the end; simulate it "
-            f"alone to see when"
+            f"the state of lane {int(np.argmin(finite))} is not finite at the end; simulate this "
+            f"lane alone to see the time"
         )
     return jax.tree.map(lambda *arrays: np.concatenate(arrays), *(kept for _, kept in chunks))
 
@@ -290,7 +292,7 @@ def simulate_lanes(
     knots: int,
     delay: bool = True,
 ) -> tuple[NDArray[np.bool_], Any]:
-    """Simulate checked drives at once, in this thread.
+    """Simulate many checked drives in one call, in this thread.
 
     Parameters
     ----------
@@ -302,14 +304,14 @@ def simulate_lanes(
     keep : callable
         See :func:`simulate_batch`.
     knots : int
-        Profiles are padded to this length.
+        Smallest number of knots to which profiles are padded.
 
     Returns
     -------
     finite : (lanes,) ndarray of bool
         Whether the lane's last state is finite.
     kept
-        Output of `keep`, NumPy arrays (lanes, rows).
+        Output of `keep` as NumPy arrays (lanes, rows).
     """
     batch = stack(lanes, knots)
     finite, kept = _simulate_many(batch, noise, steps, delay, keep)
@@ -325,7 +327,7 @@ def _longest_profile(lanes: Sequence[tuple[Drive, Course]]) -> int:
 def stack(items: Sequence[Any], knots: int = 0) -> Any:
     """Stack pytrees of one structure along a new leading axis.
 
-    Profiles are padded to one length, at least to `knots`.
+    Profiles are padded to one length, which is at least `knots`.
     """
     longest: dict[Any, int] = {}
     items = list(items)
@@ -346,7 +348,7 @@ def stack(items: Sequence[Any], knots: int = 0) -> Any:
         )
         for leaves in flat
     ]
-    # Stack with NumPy: hundreds of small JAX arrays would take longer than the simulation.
+    # Stack with NumPy: hundreds of small JAX arrays would need more time than the simulation.
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *padded)
 
 
@@ -358,7 +360,7 @@ def _check_alike(items: Sequence[Any]) -> None:
     """Raise ModelError unless all pytrees have one structure."""
     if len({jax.tree.structure(item, is_leaf=_is_profile) for item in items}) != 1:
         raise ModelError(
-            "a batch needs drives with the same components: observer, sensorless, elastic coupling…"
+            "a batch needs drives with the same components: observer, sensorless, elastic coupling"
         )
 
 
@@ -386,35 +388,35 @@ def check(drive: Drive, course: Course) -> None:
     ):
         component = getattr(drive, name, None)
         if not isinstance(component, kind):
-            advice = "; make it with LoopObserver.of(…)" if name == "observer" else ""
+            advice = "; create it with LoopObserver.of(…)" if name == "observer" else ""
             raise ModelError(f"drive.{name} is a {type(component).__name__}{advice}")
     for name, dimensions in (("speed", 1), ("load", 1), ("dc_link", 1), ("voltage_offset", 2)):
         if getattr(course, name).values.ndim != dimensions:
-            value = "a number" if dimensions == 1 else "a pair (α, β)"
-            raise ModelError(f"course.{name} must be {value} or a Profile(times, values) of such")
+            value = "number" if dimensions == 1 else "pair (α, β)"
+            raise ModelError(f"course.{name} must be a {value} or a Profile(times, {value}s)")
     if drive.sensorless is not None and drive.observer is None:
         raise ModelError("drive.sensorless needs a drive.observer")
     if drive.observer is not None and not np.isclose(
         float(drive.observer.sample_time), float(drive.sample_time), rtol=1e-6
     ):
         raise ModelError(
-            f"the observer's sample time, {float(drive.observer.sample_time):g} s, is not the "
-            f"drive's, {float(drive.sample_time):g} s"
+            f"the observer's sample time is {float(drive.observer.sample_time):g} s, but the "
+            f"drive's sample time is {float(drive.sample_time):g} s"
         )
     drive.control.check()
     torque, load = float(drive.control.most_torque()), float(np.abs(course.load.values).max())
     if load > torque:
         raise ModelError(
             f"a load of {load:.4g} N m cannot be held: at the current limit, "
-            f"{float(drive.control.current_limit):.4g} A, the torque is {torque:.4g} N m. Lower "
-            f"the load, or raise current_limit"
+            f"{float(drive.control.current_limit):.4g} A, the torque is {torque:.4g} N m; reduce "
+            f"the load or increase current_limit"
         )
     if not (np.asarray(course.dc_link.values) > 0).all():
         raise ModelError(f"dc_link must be positive, got {float(course.dc_link.values.min())} V")
 
 
 def substeps(drive: Drive, course: Course) -> int:
-    """Return Runge-Kutta steps per sample, each at most a tenth of the shortest time constant."""
+    """Return Runge-Kutta steps per sample; a step is at most 0.1 of the shortest time constant."""
     h, motor, m = float(drive.sample_time), drive.plant.motor, drive.plant.mechanics
     speeds = np.append(np.abs(course.speed.values), np.abs(course.start_speed))
     fastest = float(speeds.max()) * 1.2 * float(motor.n_p)
@@ -428,13 +430,13 @@ def substeps(drive: Drive, course: Course) -> int:
         names = ["R_s/L", "speed", "friction/J", "stiffness", "damping"]
         raise ModelError(
             f"{names[int(np.argmax(rates))]} is {max(rates):.3g} 1/s and needs {steps} steps per "
-            f"sample of {h:g} s. Leave it out, or shorten the sample time"
+            f"sample of {h:g} s; leave {names[int(np.argmax(rates))]} out or reduce the sample time"
         )
     return max(steps, 1)
 
 
 def _count_rows(drive: Drive, duration: float) -> int:
-    """Return the samples in `duration` [s]; raise ModelError if they are fewer than two."""
+    """Return the number of samples in `duration` [s]; raise ModelError if it is below two."""
     if not (isinstance(duration, int | float) and np.isfinite(duration)):
         raise ModelError(f"duration must be a number of seconds, got {duration!r}")
     rows = round(duration / float(drive.sample_time))
@@ -446,7 +448,7 @@ def _count_rows(drive: Drive, duration: float) -> int:
 
 
 def _draw_noise(seeds: Sequence[int], rows: int) -> NDArray[np.float64]:
-    """Draw standard normal samples, (lanes, rows, 3)."""
+    """Draw standard normal samples (lanes, rows, 3)."""
     return np.stack([np.random.default_rng(seed).standard_normal((rows, 3)) for seed in seeds])
 
 
@@ -470,7 +472,7 @@ def _run(
     delay: bool,
     keep: Callable[[Trace], Any],
 ) -> tuple[Array, Any]:
-    """Return whether the final state is finite, and the output of `keep`; to be compiled."""
+    """Return (whether the final state is finite, output of `keep`); this function is compiled."""
     t = jnp.arange(noise.shape[0]) * drive.sample_time
     rows = _Row(
         course.speed.at(t),
@@ -534,7 +536,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
             sensorless, reading, motor.n_p * reference, measured, h
         )
         mode = sensorless.mode
-        # If the frame jumps, carry voltage and current over to the new frame.
+        # If the frame jumps, transform voltage and current to the new frame.
         current_dq = measured * jnp.conj(direction)
         torque_now = motor.torque_dq(current_dq.real, current_dq.imag)
         running = mode == RUNNING
@@ -567,7 +569,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         dc_link,
         mode == RUNNING,
     )
-    # The middle of the voltage's interval is half a sample later; with a delay, one and a half.
+    # The middle of the voltage's interval is 0.5 samples later, or 1.5 samples with a delay.
     ahead = (1.5 if delay else 0.5) * h * speed_e
     command = voltage_dq * direction * turn(ahead)
     tripped = loop.tripped | ~(length(current) < TRIP * control.current_limit)
@@ -606,12 +608,12 @@ def _advance_plant(
     steps: int,
     dc_link: Array,
 ) -> tuple[PlantState, Array]:
-    """Return the plant state one sample later, and the mean true voltage."""
+    """Return (plant state one sample later, mean true voltage)."""
     inverter, plant, h = drive.inverter, drive.plant, drive.sample_time
-    # Duty cycles come from the measured DC link, the voltage from the true one.
+    # Duty cycles come from the measured DC link, the voltage from the true DC link.
     duties = inverter.duties(voltage, dc_link)
     if inverter.switching == 0:
-        # A leg switches twice per period, around its middle: the current there determines the loss.
+        # A leg switches twice per period, around its middle; the current there determines the loss.
         at_start = inverter.averaged(duties, row.dc_link, current, h)
         _, slope = jax.jvp(plant.current, (state,), (plant.rate(state, at_start, row.load),))
         mean = inverter.averaged(duties, row.dc_link, current + h / 2 * slope, h)
@@ -641,8 +643,8 @@ def _create_run(trace: Trace, h: float) -> Run:
         last = max(int(np.argmin(finite)) - 1, 0)
         raise ModelError(
             f"the state is not finite after t = {t[last]:.6g} s, at "
-            f"{trace.speed[last]:.4g} rad/s: check that the gains are stable and the time "
-            f"constants not far below the sample time"
+            f"{trace.speed[last]:.4g} rad/s; check that the gains are stable and that the time "
+            f"constants are not far below the sample time"
         )
     events = []
     for what, mask in (
@@ -660,7 +662,7 @@ def _create_run(trace: Trace, h: float) -> Run:
 
 
 def _find_failures(t: NDArray[np.float64], trace: Trace) -> list[Event]:
-    """Return events for an observer never in the loop, and a final speed far from its reference."""
+    """Return events if the observer is never in the loop or the final speed is wrong."""
     events = []
     if not (trace.mode == RUNNING).any():
         events.append(Event("observer never in the loop", float(t[0]), 1.0))

@@ -23,7 +23,7 @@ def to_rpm(speed: Any) -> Any:
 
 
 def rms(amplitude: Any) -> Any:
-    """Convert the RMS of a phase quantity to its peak, used internally: A rms to A."""
+    """Convert the RMS of a phase quantity to its peak, the internal unit (A rms to A)."""
     return amplitude * np.sqrt(2.0)
 
 
@@ -33,12 +33,12 @@ def to_rms(peak: Any) -> Any:
 
 
 def pair(z: Array) -> Array:
-    """Convert complex numbers to (..., 2)."""
+    """Convert complex numbers to arrays (..., 2)."""
     return jnp.stack([z.real, z.imag], axis=-1)
 
 
 def vector(xy: Array) -> Array:
-    """Convert (..., 2) to complex numbers."""
+    """Convert arrays (..., 2) to complex numbers."""
     return jax.lax.complex(xy[..., 0], xy[..., 1])
 
 
@@ -49,7 +49,7 @@ def phases(z: Array) -> Array:
 
 
 def from_phases(abc: Array) -> Array:
-    """Return the space vector of phase quantities (..., 3); the zero sequence drops out."""
+    """Return the space vector of phase quantities (..., 3); the zero sequence has no effect."""
     a, b, c = abc[..., 0], abc[..., 1], abc[..., 2]
     return jax.lax.complex((2 * a - b - c) / 3, (b - c) / ROOT3)
 

@@ -1,4 +1,4 @@
-"""Library of machines as energies; some satisfy a quadratic relation, some do not."""
+"""Library of machines as energies; some machines satisfy a quadratic relation, some do not."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""Electric-field dual: charge for flux, voltage for current, conductance for resistance."""
+"""Electric-field dual: charge, voltage and conductance replace flux, current and resistance."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ def differential_actuator(
     damping: float = 1e-6,
     stiffness: float = 1.0,
 ) -> ElectromechanicalSystem:
-    """Plate between two electrodes (MEMS), each driven through a resistor.
+    """Plate between two electrodes (MEMS); each electrode is driven through a resistor.
 
-    State `flux` is the charge Q [C], `current` the voltage v of the capacitor [V]:
-    ``Q̇ = (u - v)/resistance``. It satisfies ``2 g Q₁Q₂ = ε A (v₁Q₂ + v₂Q₁)``.
+    `flux` is the charge Q [C] and `current` is the voltage v of the capacitor [V], with
+    ``Q̇ = (u - v)/resistance``. The system satisfies ``2 g Q₁Q₂ = ε A (v₁Q₂ + v₂Q₁)``.
 
     Parameters
     ----------
     g, area : float
-        Gap [m], area of a plate [m²].
+        Gap [m] and area of a plate [m²].
     resistance : float
         Series resistance of each electrode [Ω].
     mass, damping, stiffness : float
-        [kg], [N s/m], [N/m].
+        In [kg], [N s/m] and [N/m].
     """
     k = EPSILON_0 * area
 

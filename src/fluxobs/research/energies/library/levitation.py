@@ -11,7 +11,7 @@ import numpy as np
 from ....machines import MagLev2DOF
 from ..system import ElectromechanicalSystem, inertia, linear_magnetics
 
-#: Share of the gap from which positions are drawn.
+#: Share of the gap in which positions are drawn.
 INSIDE = 0.8
 
 
@@ -40,11 +40,11 @@ def maglev_1dof(k: float = 1e-5, g: float = 1e-3) -> ElectromechanicalSystem:
 
 
 def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
-    """Opposed coils on a lever: Section V-B of the paper in canonical port-Hamiltonian form.
+    """Opposed coils on a lever, the paper's Section V-B, in canonical port-Hamiltonian form.
 
-    The flux is the linkage ``λ = c φ`` with the force constants c; ``-∇_q H_E`` is then the
-    force of Knospe's benchmark. Momentum is p/D. ``λ̇ = -(c/N) R i + (c/N) u``.
-    docs/theory.md, section 11.
+    The flux is the linkage ``λ = c φ`` with the force constants c; ``-∇_q H_E`` is then the force
+    of Knospe's benchmark. The momentum is p/D, and ``λ̇ = -(c/N) R i + (c/N) u`` (docs/theory.md,
+    section 11).
     """
     c, k = np.array([machine.c_1, machine.c_2]), np.array([machine.k_1, machine.k_2])
     g, sign = machine.g, np.array([-1.0, 1.0])
@@ -66,10 +66,10 @@ def maglev_2dof(machine: MagLev2DOF) -> ElectromechanicalSystem:
 
 
 def maglev_as_printed(machine: MagLev2DOF) -> ElectromechanicalSystem:
-    """The paper's equations (hmaglev) and (sysmaglev) to the letter, for erratum 8.
+    """The paper's equations (hmaglev) and (sysmaglev) exactly as printed, for erratum 8.
 
-    The energy lacks the force constants c and the input the 1/N: ``λ̇ = -R/(N c) i + u``. The state
-    is still called λ; the controller reads it as core flux, as in the paper.
+    The energy lacks the force constants c, and the input lacks 1/N: ``λ̇ = -R/(N c) i + u``. The
+    state is still called λ, but the controller uses it as the core flux, as in the paper.
     """
     c, k = np.array([machine.c_1, machine.c_2]), np.array([machine.k_1, machine.k_2])
     g, sign = machine.g, np.array([-1.0, 1.0])
@@ -88,7 +88,7 @@ def maglev_as_printed(machine: MagLev2DOF) -> ElectromechanicalSystem:
 def maglev_leakage(
     k: tuple[float, float] = (1e-5, 1.2e-5), g: float = 1e-3, leakage: float = 2e-3
 ) -> ElectromechanicalSystem:
-    """Opposed coils with leakage inductance l [H]; the relation has λ - l i instead of λ."""
+    """Opposed coils with leakage inductance l [H]; their relation has λ - l i instead of λ."""
     return _coils(
         lambda q: jnp.array([k[0] / (g - q[0]), k[1] / (g + q[0])]) + leakage,
         g,
@@ -98,7 +98,7 @@ def maglev_leakage(
 
 
 def maglev_biased(k: float = 1e-5, g: float = 1e-3, magnet: float = 0.8) -> ElectromechanicalSystem:
-    """Opposed coils with core magnets worth `magnet` ampere; the relation has a linear term E."""
+    """Opposed coils with core magnets of `magnet` ampere; their relation has a linear term E."""
     return _coils(
         lambda q: jnp.array([k / (g - q[0]), k / (g + q[0])]),
         g,
@@ -120,7 +120,7 @@ def four_pole_bearing(k: float = 1e-5, g: float = 1e-3) -> ElectromechanicalSyst
 
 
 def three_coils(k: float = 1e-5, g: float = 1e-3) -> ElectromechanicalSystem:
-    """Three coils on one axis with different gaps; any two give a relation."""
+    """Three coils on one axis with different gaps; any two coils give a relation."""
     return _coils(
         lambda q: jnp.array([k / (g - q[0]), 1.1 * k / (g + q[0]), 0.9 * k / (1.5 * g + q[0])]),
         g,

@@ -10,7 +10,7 @@ from ..system import ElectromechanicalSystem, inertia, linear_magnetics
 
 
 def affine_pair(L_0: float = 10e-3, slope: float = 0.5) -> ElectromechanicalSystem:
-    """Two coils with inductances ``L_0 ± slope q`` [H], [H/m]: LVDT, plunger pair."""
+    """Two coils with inductances ``L_0 ± slope q`` [H], such as an LVDT or a plunger pair."""
     return ElectromechanicalSystem(
         linear_magnetics(lambda q: jnp.diag(jnp.array([L_0 + slope * q[0], L_0 - slope * q[0]]))),
         inertia(0.1),

@@ -1,4 +1,4 @@
-"""Rotating machines as energies, in stationary coordinates; position is the mechanical angle."""
+"""Rotating machines as energies in stationary coordinates; the position is the mechanical angle."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def unit(angle: jax.Array) -> jax.Array:
 
 
 def turn(angle: jax.Array) -> jax.Array:
-    """Return the rotation matrix, (2, 2)."""
+    """Return the (2, 2) rotation matrix."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     return jnp.array([[cos, -sin], [sin, cos]])
 
@@ -36,7 +36,7 @@ def surface_pmsm(
 ) -> ElectromechanicalSystem:
     """Surface PMSM in αβ, ``λ = L_s i + ψ_f e(n_p q)`` (the paper's Section V-A).
 
-    R_s [Ω], L_s [H], psi_f [Wb], J [kg m²], friction [N m s]. Torques are in two-phase
+    Units: R_s [Ω], L_s [H], psi_f [Wb], J [kg m²], friction [N m s]. Torques are in two-phase
     power-invariant coordinates, as in the paper.
     """
     return ElectromechanicalSystem(
@@ -84,7 +84,7 @@ def interior_pmsm(
     J: float = 0.05,
     friction: float = 1e-3,
 ) -> ElectromechanicalSystem:
-    """Interior PMSM in αβ; it has no quadratic relation, but one of degree four."""
+    """Interior PMSM in αβ; it has no quadratic relation, but a relation of degree four."""
     return salient_pmsm(R_s, L_d, L_q, psi_f, n_p, J, friction, "interior PMSM")
 
 
@@ -108,7 +108,7 @@ def five_phase_pmsm(
     phase_3: float = 0.4,
     n_p: int = 3,
 ) -> ElectromechanicalSystem:
-    """Five-phase PMSM with third-harmonic magnets: planes (α₁, β₁, α₃, β₃)."""
+    """Five-phase PMSM with third-harmonic magnets in the planes (α₁, β₁) and (α₃, β₃)."""
     return ElectromechanicalSystem(
         linear_magnetics(
             lambda q: jnp.diag(jnp.array([L_1, L_1, L_3, L_3])),
@@ -127,9 +127,9 @@ def five_phase_pmsm(
 def wound_field(
     L_d: float = 8e-3, L_q: float = 5e-3, L_F: float = 0.6, M: float = 0.05, n_p: int = 2
 ) -> ElectromechanicalSystem:
-    """Salient wound-field synchronous machine with its field port: (α, β, F).
+    """Salient wound-field synchronous machine with a field port; its ports are (α, β, F).
 
-    Vectors are power-invariant; only then do the inductances derive from an energy (f = 1).
+    Vectors are power-invariant (f = 1): otherwise no energy gives these inductances.
     """
     rotor = jnp.array([[L_d, 0.0, M], [0.0, L_q, 0.0], [M, 0.0, L_F]])
 
@@ -150,9 +150,9 @@ def wound_field(
 def doubly_fed(
     L_s: float = 0.12, L_r: float = 0.11, M: float = 0.1, n_p: int = 2
 ) -> ElectromechanicalSystem:
-    """Induction machine with both windings as ports: (α_s, β_s, α_r, β_r), rotor in its own axes.
+    """Induction machine with ports (α_s, β_s, α_r, β_r); the rotor ports are in rotor axes.
 
-    For a cage machine, leave the rotor ports unmeasured.
+    Both windings have ports; for a cage machine, leave the rotor ports unmeasured.
     """
 
     def inductance(q: jax.Array) -> jax.Array:

@@ -1,4 +1,4 @@
-"""Observers on the paper's regression: printed, repaired, and those it argues against."""
+"""Observers on the paper's regression: printed, repaired, and those the paper argues against."""
 
 from .base import ContinuousObserver, FluxObserver, flow_gain, integrate_law, run
 from .drem import DremObserver

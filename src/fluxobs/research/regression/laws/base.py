@@ -1,9 +1,9 @@
-"""Common code of the observers on the regression: continuous and sampled form, and a runner.
+"""Code shared by the observers on the regression: continuous form, sampled form, and runner.
 
-``derivative(state, y_m, row)`` is the law as published, for an ODE solver. ``step(state, h,
-volt_seconds, row)`` is for samples: it advances the state by the known volt-seconds, then applies
-the exact solution of the gradient flow for a constant regressor. This is stable at any gain,
-however stiff the law.
+``derivative(state, y_m, row)`` is the published law for an ODE solver. ``step(state, h,
+volt_seconds, row)`` processes one sample: it advances the state by the known volt-seconds, then
+applies the exact solution of the gradient flow for a constant regressor. This step is stable at any
+gain, even if the law is stiff.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .. import Regressors
 
 
 class FluxObserver(Protocol):
-    """Observer with frozen parameters and explicit state."""
+    """Observer with constant parameters and explicit state."""
 
     def init(self) -> Any: ...
 
@@ -40,12 +40,12 @@ class ContinuousObserver(FluxObserver, Protocol):
 
 
 def positive_definite(name: str, value: Any, size: int) -> jax.Array:
-    """Return a gain matrix of this size from a number, a vector (its diagonal) or a matrix.
+    """Return a gain matrix of this size from a number, a vector (the diagonal) or a matrix.
 
     Raises
     ------
     ModelError
-        The matrix is not symmetric positive definite; the message gives its smallest eigenvalue.
+        If the matrix is not symmetric positive definite. The message gives its smallest eigenvalue.
     """
     gain = np.asarray(real(name, value))
     if gain.shape not in ((), (size,), (size, size)):
@@ -56,7 +56,7 @@ def positive_definite(name: str, value: Any, size: int) -> jax.Array:
         gain = gain * np.eye(size)
     if not np.allclose(gain, gain.T, rtol=1e-12, atol=0):
         raise ModelError(f"{name} must be symmetric, got {gain.tolist()}")
-    # Check per-unit: the scales of flux and constants differ by twenty powers of ten.
+    # Check per-unit values: the scales of flux and constants differ by twenty powers of ten.
     scale = np.sqrt(np.abs(np.diag(gain)))
     smallest = np.linalg.eigvalsh(gain / np.outer(scale, scale)).min() if scale.all() else 0.0
     if not (smallest > 0 and (np.diag(gain) > 0).all()):
@@ -68,7 +68,7 @@ def positive_definite(name: str, value: Any, size: int) -> jax.Array:
 
 
 def flow_gain(q: jax.Array, h: float) -> jax.Array:
-    """Return ``(1 - e^{-qh})/q``, the effect of a gradient flow of rate q over h; h at q = 0."""
+    """Return ``(1 - e^{-qh})/q``, the effect of a gradient flow of rate q over h (h for q = 0)."""
     safe = jnp.where(q > 0, q, 1.0)
     return jnp.where(q > 0, -jnp.expm1(-safe * h) / safe, h)
 
@@ -77,10 +77,10 @@ def flow_gain(q: jax.Array, h: float) -> jax.Array:
 def run(
     observer: FluxObserver, h: float, volt_seconds: jax.Array, rows: Regressors, skip: Any = 0
 ) -> tuple[jax.Array, jax.Array]:
-    """Return flux (rows, n) and constants (rows, n_θ) over a record, from `observer.init()`.
+    """Return (flux (rows, n), constants (rows, n_θ)) over a record, starting at `observer.init()`.
 
-    Row k's volt-seconds belong to the interval that ends at row k. The regression is not used in
-    the first `skip` rows, the transient of its filters.
+    Row k's volt-seconds belong to the interval that ends at row k. The first `skip` rows, the
+    transient of the filters, do not use the regression.
     """
     count = len(rows.y)
 
@@ -100,10 +100,10 @@ def run(
 def integrate_law(
     observer: ContinuousObserver, h: float, y_m: jax.Array, rows: Regressors
 ) -> tuple[jax.Array, jax.Array]:
-    """Return flux and constants of the law as a differential equation, by fourth-order Runge-Kutta.
+    """Integrate the law's differential equation by Runge-Kutta (order 4); return (flux, constants).
 
-    For laws that are not stiff: h times their rate below one. Shapes (steps + 1, n) and
-    (steps + 1, n_θ), from `observer.init()`.
+    The law must not be stiff: h times its rate must be below one. The results have the shapes
+    (steps + 1, n) and (steps + 1, n_θ); they start at `observer.init()`.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from .base import flow_gain
 
 
 class DremState(NamedTuple):
-    """Extension M, m (per-unit); estimate, its open-loop twin, and w, the weight of the start."""
+    """Extension M, m (per-unit); estimate x and open-loop estimate; w, the weight of the start."""
 
     M: jax.Array
     m: jax.Array
@@ -25,13 +25,13 @@ class DremState(NamedTuple):
 
 
 class DremObserver(eqx.Module):
-    """Extend one regression to as many as there are unknowns, then mix them into scalar ones.
+    """Extend one regression to N regressions for N unknowns, then mix them into scalar regressions.
 
-    Extension (Kreisselmeier, moved along with the flux): ``M' = -M/T - AᵀM - M A + ΨΨᵀ``, likewise
-    m, which gives ``M x = m``. Mixing with the adjugate gives ``Δ x_j = Y_j``, Δ = det M, and for
-    each unknown a scalar gradient ``x̂_j' = … + γ Δ (Y_j - Δ x̂_j)``. The error is
-    ``x̃(t) = w(t) x̃_open-loop(t)`` with ``w = exp(-γ ∫ Δ²)``. Solving this for x gives an estimate
-    in finite time, used once 1 - w > `finite`.
+    Kreisselmeier's extension, moved along with the flux, is ``M' = -M/T - AᵀM - M A + ΨΨᵀ``; with a
+    similar equation for m, it gives ``M x = m``. Mixing with the adjugate gives ``Δ x_j = Y_j``
+    with Δ = det M. Each unknown then has a scalar gradient law ``x̂_j' = … + γ Δ (Y_j - Δ x̂_j)``.
+    The error is ``x̃(t) = w(t) x̃_open-loop(t)`` with ``w = exp(-γ ∫ Δ²)``. Solving this equation
+    for x gives an estimate in finite time, which is used when 1 - w > `finite`.
 
     Parameters
     ----------
@@ -40,11 +40,12 @@ class DremObserver(eqx.Module):
     memory : float
         T of the extension [s].
     basis : (N,) or (N, N) array_like
-        Scaling ``x = basis x_pu``: sizes, or a matrix that balances the unknowns, since Δ is a
-        product of N eigenvalues (:func:`fluxobs.research.analysis.balanced_basis`).
+        Scaling ``x = basis x_pu``: sizes, or a matrix that balances the unknowns
+        (:func:`fluxobs.research.analysis.balanced_basis`). Balance matters because Δ is a product
+        of N eigenvalues.
     constants : Parametrisation
     finite : float
-        Value of 1 - w above which the finite-time formula is used, in (0, 1].
+        The finite-time formula is used while 1 - w is above this value; in (0, 1].
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Generalised PEBO: the state is a known signal plus a known matrix times a constant."""
+"""Generalised PEBO writes the state as a known signal plus a known matrix times a constant."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ Estimator = Literal["least-squares", "least-squares-drem"]
 
 
 class GpeboState(NamedTuple):
-    """Integral ξ; time t; information M and m of the constant (per-unit), and the weight of the
-    start in them; mixed estimate."""
+    """Integral ξ, time t, per-unit information M and m, start's weight in them, mixed estimate."""
 
     xi: jax.Array
     t: jax.Array
@@ -29,28 +28,28 @@ class GpeboState(NamedTuple):
 
 
 class GeneralisedPEBO(eqx.Module):
-    """``x(t) = (ξ, 0) + Φ_A(t) ϑ`` with ξ' = y_m and x = (λ, θ, …): estimates the constant ϑ.
+    """Estimate the constant ϑ of ``x(t) = (ξ, 0) + Φ_A(t) ϑ``, with ξ' = y_m and x = (λ, θ, …).
 
-    Here ``Φ_A(t)`` adds t θ to the flux. The drift is then part of ϑ = (λ(0) - ξ(0), θ, …), and
-    bias no longer breaks the method; but ξ and t grow without bound. ϑ is estimated from
+    ``Φ_A(t)`` adds t θ to the flux. The drift is then part of ϑ = (λ(0) - ξ(0), θ, …), so bias no
+    longer breaks the method, but ξ and t grow without bound. ϑ is estimated from
     ``y - Φ_λᵀ ξ = ΨᵀΦ_A(t) ϑ``
 
     * by least squares, with or without forgetting: ``F⁻¹' = φφᵀ - β (1 - ‖F‖/‖F(0)‖) F⁻¹``; or
-    * by least squares with a mixing step. The initial guess fades from the estimate exactly as
-      ``(I - z F F(0)⁻¹) ϑ = ϑ̂ - z F F(0)⁻¹ ϑ̂(0)``, z' = -β (1 - …) z. This gives scalar
-      regressions ``Δ ϑ_j = Y_j``, each followed by a gradient. Excitation over one interval is
-      enough.
+    * by least squares with a mixing step. The influence of the initial guess is known exactly:
+      ``(I - z F F(0)⁻¹) ϑ = ϑ̂ - z F F(0)⁻¹ ϑ̂(0)``, z' = -β (1 - …) z. This equation gives scalar
+      regressions ``Δ ϑ_j = Y_j``, and a gradient law for each. Excitation over one interval is
+      sufficient.
 
     Parameters
     ----------
     constants : Parametrisation
     scale : (n + n_θ,) array_like
-        Size of each unknown: prior standard deviation, and unit.
+        Prior standard deviation of each unknown, also used as its unit.
     noise : float
         Standard deviation of y times the root of its bandwidth.
     estimator : {"least-squares", "least-squares-drem"}
     forgetting : float
-        β [1/s]; 0 remembers everything.
+        β [1/s]; 0 means no forgetting.
     gamma : float
         Gain of the scalar gradients [1/s]; they converge at γ Δ².
 
@@ -111,8 +110,7 @@ class GeneralisedPEBO(eqx.Module):
         xi, t = state.xi + volt_seconds, state.t + h
         phi = self._moved(self.constants.psi(row), t) * self.scale
         y = row.y - row.Phi_flux @ xi
-        # Without excitation forgetting stops before the estimate is worse than at the start: F <=
-        # I.
+        # F <= I: without excitation, forgetting ends before the estimate is worse than at first.
         uncertainty = jnp.minimum(1 / jnp.linalg.eigvalsh(state.M)[0], 1.0)
         fade = jnp.exp(-self.forgetting * (1 - uncertainty) * h)
         weight = h / self.noise**2
@@ -120,11 +118,11 @@ class GeneralisedPEBO(eqx.Module):
         m, start_weight = fade * state.m + weight * phi * y, fade * state.start_weight
         mixed = state.mixed
         if self.estimator == "least-squares-drem":
-            # I - z F F(0)⁻¹ with F(0) = I, and the estimate without its initial value, zero.
+            # I - z F F(0)⁻¹ with F(0) = I; the initial value of the estimate is zero.
             share = jnp.eye(len(m)) - start_weight * jnp.linalg.inv(M)
             delta = jnp.linalg.det(share)
             solution = jnp.linalg.solve(M, m)
-            # Cramer's rule: Y_j is the determinant with the estimate in column j.
+            # Cramer's rule: Y_j is the determinant of `share` with the estimate in column j.
             Y = jax.vmap(lambda j: jnp.linalg.det(share.at[:, j].set(solution)))(jnp.arange(len(m)))
             gain = flow_gain(self.gamma * delta**2, h)
             mixed = mixed + gain * self.gamma * delta * (Y - delta * mixed)

@@ -1,4 +1,4 @@
-"""The paper's two observers as printed, and the second one repaired."""
+"""The paper's two observers as printed, and the repaired second observer."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from .base import flow_gain, positive_definite
 
 
 class RobustObserver(eqx.Module):
-    """Proposition 1: ``λ̂' = y_m + Γ Φ_λ (y - Φ_λᵀ λ̂)``; constants act as disturbances.
+    """Proposition 1: ``λ̂' = y_m + Γ Φ_λ (y - Φ_λᵀ λ̂)``; the constants act as disturbances.
 
-    The error converges to a bound proportional to the biases:
-    :mod:`fluxobs.research.analysis.bounds`.
+    The error converges to a bound proportional to the biases
+    (:mod:`fluxobs.research.analysis.bounds`).
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ class RobustObserver(eqx.Module):
 class PrintedAdaptiveObserver(eqx.Module):
     """Proposition 2 as printed: ``(λ̂, θ̂)' = (y_m + θ̂_drift, 0) + Γ Ψ (y - Ψᵀ(λ̂, θ̂))``.
 
-    For reference only. The proposition is false: on some machines and trajectories with
-    persistently exciting Ψ the law is unstable at every gain (docs/errata.md, 6). Use
+    Use this law only for reference. The proposition is false: on some machines and trajectories
+    with persistently exciting Ψ the law is unstable at every gain (docs/errata.md, 6). Use
     :class:`RepairedAdaptiveObserver`, or check with :mod:`fluxobs.research.analysis.stability`.
 
     Parameters
     ----------
     Gamma : number, vector or matrix
-        Positive definite gain of size n + n_θ; the paper's γ_a is a number or a diagonal.
+        Positive definite gain of size n + n_θ. The paper's γ_a is a number or a diagonal matrix.
     constants : Parametrisation
     """
 
@@ -94,9 +94,9 @@ class PrintedAdaptiveObserver(eqx.Module):
 def sensitivity_step(
     Gamma: jax.Array, U: jax.Array, h: float, Phi: jax.Array, Phi_theta: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Return U after a sample, Ω at it, and flux gain K of :class:`RepairedAdaptiveObserver`.
+    """Return (U after a sample, Ω at the sample, K) of :class:`RepairedAdaptiveObserver`.
 
-    They depend neither on the estimates nor on the gain of the constants.
+    K is the flux gain. The three depend neither on the estimates nor on the gain of the constants.
     """
     U = U + h * jnp.eye(U.shape[0], U.shape[1])
     omega = U.T @ Phi + Phi_theta
@@ -106,7 +106,7 @@ def sensitivity_step(
 
 
 class RepairedState(NamedTuple):
-    """Estimates, and the sensitivity U of the flux error to the error of the constants."""
+    """Estimates, and sensitivity U of the flux error to the error of the constants."""
 
     flux: jax.Array
     constants: jax.Array
@@ -114,14 +114,14 @@ class RepairedState(NamedTuple):
 
 
 class RepairedAdaptiveObserver(eqx.Module):
-    """Proposition 2 repaired, after Zhang's adaptive observer for time-varying systems::
+    """Repaired Proposition 2, based on Zhang's adaptive observer for time-varying systems::
 
         λ̂' = y_m + [I 0] θ̂ + Γ Φ_λ e + U θ̂'      e = y - Φ_λᵀ λ̂ - Φ_θᵀ θ̂
         U' = [I 0] - Γ Φ_λ (Φ_λᵀ U + Φ_θᵀ)       θ̂' = G Ω e,  Ω = Uᵀ Φ_λ + Φ_θ
 
-    The error is a cascade, exponentially stable for any positive gains if Φ_λ and Ω are
-    persistently exciting: ``η = λ̃ - U θ̃`` obeys ``η' = -Γ Φ_λ Φ_λᵀ η``, then
-    ``θ̃' = -G Ω Ωᵀ θ̃ - G Ω Φ_λᵀ η``. Moderate gains converge fastest.
+    The error is a cascade: ``η = λ̃ - U θ̃`` obeys ``η' = -Γ Φ_λ Φ_λᵀ η``, and η drives
+    ``θ̃' = -G Ω Ωᵀ θ̃ - G Ω Φ_λᵀ η``. The cascade is exponentially stable for any positive gains if
+    Φ_λ and Ω are persistently exciting. Moderate gains converge fastest.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class RepairedAdaptiveObserver(eqx.Module):
         U, omega, K = sensitivity_step(self.Gamma, state.U, h, Phi, Phi_theta)
         direction = self.G @ omega
         change = flow_gain(omega @ direction, h) * direction * e
-        # The same K corrects the flux and U, which keeps the dynamics of η exact.
+        # K corrects both the flux and U, which keeps the dynamics of η exact.
         return RepairedState(flux + K * e + U @ change, state.constants + change, U)
 
     def estimate(self, state: RepairedState) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,4 @@
-"""Methods the paper argues against: open-loop integration, alone or with estimated start."""
+"""Methods the paper argues against: open-loop integration, alone or with an estimated start."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .base import flow_gain, positive_definite
 
 
 class VoltageModel(eqx.Module):
-    """``λ̂' = y_m``; it keeps its initial error, and drifts by θ t under bias."""
+    """``λ̂' = y_m``. The estimate keeps its initial error and drifts by θ t under bias."""
 
     n: int = eqx.field(static=True)
 
@@ -43,11 +43,11 @@ class PeboState(NamedTuple):
 
 
 class PEBO(eqx.Module):
-    """Parameter-estimation-based observer: ``ξ' = y_m``, λ = ξ + constant; estimates the constant.
+    """Parameter-estimation-based observer: estimates the constant λ - ξ, with ``ξ' = y_m``.
 
-    With the gradient estimator, written in λ̂ = ξ + θ̂_0, it equals the observer of Proposition 1,
-    but carries two signals that grow without bound under bias. Least squares relies on a constant
-    λ - ξ; under bias the flux error itself grows without bound.
+    With the gradient estimator and λ̂ = ξ + θ̂_0, this observer equals that of Proposition 1, but
+    carries two signals that grow without bound under bias. Least squares relies on a constant λ -
+    ξ, so the flux error itself grows without bound under bias.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class PEBO(eqx.Module):
         Number of ports.
     estimator : {"least-squares", "gradient"}
     Gamma : number, (n,) or (n, n)
-        Gain of the gradient; for least squares the initial inverse information.
+        Gain of the gradient estimator; for least squares, the initial inverse information.
 
     References
     ----------

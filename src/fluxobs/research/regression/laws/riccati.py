@@ -1,4 +1,4 @@
-"""Least squares with forgetting on the regression: Kalman-like observer, square-root form."""
+"""Least squares with forgetting on the regression: a Kalman-like observer in square-root form."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ class RiccatiState(NamedTuple):
 
 
 class RiccatiObserver(eqx.Module):
-    """``M' = -M/T - AᵀM - M A + ΨΨᵀ``, ``x̂ = M⁻¹ m``, carried as the triangular R of ``M = RᵀR``.
+    """``x̂ = M⁻¹ m`` with ``M' = -M/T - AᵀM - M A + ΨΨᵀ``; the state holds R of ``M = RᵀR``.
 
     Parameters
     ----------
     memory : float
         Memory T [s].
     scale : (n + n_θ,) array_like
-        Prior standard deviation of each unknown; also scales the initial information.
+        Prior standard deviation of each unknown; it also scales the initial information.
     noise : float
-        Standard deviation of y times the root of its bandwidth; weighs data against the prior.
+        Standard deviation of y times the root of its bandwidth; it weighs the data against the
+        prior.
     constants : Parametrisation
     """
 
