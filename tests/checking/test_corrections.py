@@ -162,7 +162,7 @@ def test_the_prior_of_a_mistake():
 
 
 def test_the_prior_of_an_unknown_factor():
-    """The variance of the common factor is added to the variance of each parameter."""
+    """The variance of the common factor, 3.5² in ln, is added to that of each parameter."""
     precision = FACTOR[0].prior(0.0).precision
     covariance = np.linalg.inv(precision)
     expected = np.diag([0.25, 0.15, 0.08, 0.1]) ** 2

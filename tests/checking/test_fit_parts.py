@@ -193,7 +193,7 @@ def test_a_step_equals_that_of_the_whole_system(machine):
 
 
 def test_the_cost_of_a_point():
-    """The distance is the drift's, relative to 3 % of the voltage, plus the parameters'."""
+    """The distance adds squared drifts, relative to 3 % of the voltage, and squared deviations."""
     prior = Prior(np.array([0.1, 0.0, -0.1, 0.02]), TIGHT.precision)
     relation, values, linearised, slope = point(PMSM, prior)
     drift = np.sum(np.abs(slope / (0.03 * relation.data.size)) ** 2)

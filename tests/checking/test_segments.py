@@ -135,7 +135,7 @@ def test_the_resistance_is_limited_by_the_log():
 
 
 def test_distant_features_are_chosen():
-    """The first choice has the largest first feature; each next is farthest from all before."""
+    """The first choice has the largest first feature; later choices are far from the others."""
     features = np.array([[0.0, 0], [1.0, 0], [0.9, 0], [0.4, 0], [0.0, 0.9]] + [[0.95, 0.01]] * 7)
     distances = np.linalg.norm(features[:, None] - features, axis=2)
     chosen = [1]

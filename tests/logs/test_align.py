@@ -124,7 +124,7 @@ def test_a_peak_at_the_edge_of_the_allowed_overlap_is_not_interpolated(sign):
 
 @pytest.mark.parametrize("lag", [0, 300])
 def test_constant_stretches_do_not_correlate(lag):
-    """A current is zero before the start of a drive: sums over it are rounding errors."""
+    """A current is zero before the start of a drive: sums of zeros are rounding errors."""
     a, b = np.zeros(2000), np.zeros(2000)
     a[1200:1700], b[1200 - lag : 1700 - lag] = WAVE[:500], WAVE[:500]
     shift, peak, _, second = _correlate(a, b, H)

@@ -66,7 +66,7 @@ def test_rows_of_the_file_among_the_uniform_rows():
     [(GAPS, (-0.4, 0.0, 0.4)), (even(40, H, 5.0), (-0.4, -5e-7, 0.0, 5e-7, 0.4))],
 )
 def test_the_row_at_a_time(clock, offsets):
-    """With `up`, the first row at or after the time; else the row after the last one before."""
+    """With `up`: first row at or after the time. Without: row after the last row up to the time."""
     t = clock.times(np.arange(clock.rows))
     for at in (row + offset * H for row in t for offset in offsets):
         assert clock.row_at(at, up=True) == np.sum(t < at - 1e-6 * H)

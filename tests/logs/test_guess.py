@@ -216,7 +216,7 @@ def test_units(channel, spellings, factor):
         ("t", "ticks:x", "'x' is not a positive number"),
         ("t", "counts:100", "ticks:HZ is for t"),
         ("i_a", "counts:100", "give --adc i_a=BITS,RANGE,ZERO"),
-        ("theta_e", "ticks:100", "counts:FULL_SCALE for angles"),
+        ("theta_e", "ticks:100", "counts:FULL_SCALE is for angles"),
     ],
 )
 def test_units_that_do_not_fit(channel, unit, message):
@@ -388,7 +388,7 @@ def test_at_most_forty_columns_are_named_where_nothing_is_found(count, named):
     columns = T | {f"signal {n}": np.sin(K + n) for n in range(count)}
     with pytest.raises(RecordError) as error:
         read_log(columns)
-    listing = str(error.value).partition("among its columns: ")[2].partition(". Name them")[0]
+    listing = str(error.value).partition("among its columns: ")[2].partition(". Name the")[0]
     assert len(listing.split(", ")) == named
 
 

@@ -1,4 +1,4 @@
-"""Hostile files of recorders (MDF, TDMS, ULog): reading them must end, whatever their blocks say."""
+"""Hostile files of recorders (MDF, TDMS, ULog): reading their blocks and counts must end."""
 
 import struct
 
@@ -57,7 +57,7 @@ def test_rows_beyond_the_contents_of_an_mdf_file(tmp_path):
 
 
 def conversion(*links):
-    """Return an MDF 4 conversion that refers to the blocks `links`: for the value 0, and others."""
+    """Return an MDF 4 conversion that refers to the blocks `links` for value 0 and as default."""
     body = struct.pack(f"<{4 + len(links)}Q", 0, 0, 0, 0, *links)
     values = struct.pack("<2B3H3d", 7, 0, 0, len(links), 1, 0, 0, 0)
     return struct.pack("<4s4x2Q", b"##CC", 24 + len(body + values), 4 + len(links)) + body + values

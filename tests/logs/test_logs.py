@@ -543,7 +543,7 @@ def test_unusable_record(arguments, message):
 
 @pytest.mark.parametrize("size", [1, 7, 64, ROWS])
 def test_inverter_losses_in_any_batches(size):
-    """The loss depends on the currents at both ends; before the first row, its own current counts."""
+    """The loss depends on the currents at both ends; the first row uses its own current twice."""
     error = InverterError(0.8, 0.3)
     log = read_log(PLAIN)
     batches = list(log.less_inverter(error).aligned(size=size))

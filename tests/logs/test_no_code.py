@@ -244,5 +244,5 @@ def test_formulas_are_found_wherever_a_conversion_refers_to_them():
     branching = SimpleNamespace(
         formula="", referenced_blocks={"0": leaf_block, "1": outer, "2": outer}
     )
-    assert sorted(mdf._formulas(branching)) == ["2*X", "exit()"]  # also formulas after a known one
+    assert sorted(mdf._formulas(branching)) == ["2*X", "exit()"]  # also after a known one
     assert list(mdf._formulas(None)) == []

@@ -34,7 +34,7 @@ def test_noise_is_that_of_one_component_on_a_smooth_signal():
 
 
 def test_third_differences_of_an_alternating_signal():
-    """Third differences are eight times the signal, so the level is 8/√20 of the signal's size."""
+    """Third differences are 8 times the signal: the level is 8/√20 of it for any block length."""
     for rows in (4, 5, 258, 259, 260, 700):
         signal = np.where(np.arange(rows) % 2, -1.0, 1.0)[:, None] * [0.5, 0.5]
         assert white_noise(signal) == pytest.approx(4 / np.sqrt(20))

@@ -140,7 +140,7 @@ SIGN = [
 
 
 def inverted_sensors(measured: str) -> list[Mistake]:
-    """Return one mistake for each of two current sensors, for example "ab": it is inverted."""
+    """Return two mistakes: the first or second of two current sensors, e.g. "ab", is inverted."""
     mistakes, from_phases = [], _from_two_phases(measured)
     for phase, inverted in zip(measured, (np.diag([-1, 1]), np.diag([1, -1])), strict=True):
         message = f"i_{phase} has the opposite sign (--scale i_{phase}=-1)"

@@ -46,7 +46,10 @@ TURNED = np.pi / 2
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Normal prior of ln R, ln L, ln ψ relative to the machine file, and of V_d per voltage."""
+    """Normal prior of the parameters.
+
+    These are ln R, ln L, ln ψ relative to the machine file, and V_d divided by the voltage.
+    """
 
     mean: Array
     precision: Array

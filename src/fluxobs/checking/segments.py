@@ -129,7 +129,7 @@ def _segment_length(voltage: list[Complex], sample_time: float) -> int:
 
 
 def _limit_resistance(voltage: list[Complex], current: list[Complex], given: float) -> float:
-    """Return the smaller of the given resistance and P/I², which is small if I is in mA."""
+    """Return the minimum of the given resistance and the log's P/I², which is small for mA."""
     u, i = np.concatenate(voltage), np.concatenate(current)
     finite = np.isfinite(u) & np.isfinite(i)
     apparent = float(np.vdot(i[finite], u[finite]).real) / (

@@ -89,7 +89,7 @@ class Log:
         Guesses, and defects of the file that were repaired.
     true : Truth, optional
     inverter : InverterError, optional
-        Subtracted from the commanded voltage.
+        Error that is subtracted from the commanded voltage.
     """
 
     table: Table
@@ -212,7 +212,7 @@ class Log:
         voltage = np.concatenate([batch.voltage for batch in batches])
         return Record(
             self.sample_time,
-            # Row k of a record acts from t_k on, so the interval ending at t_k is row k - 1.
+            # Row k of a record acts from t_k on: the interval ending at t_k belongs to row k - 1.
             np.concatenate([voltage[1:], np.full((1, 2), np.nan)]),
             np.concatenate([batch.current for batch in batches]),
             theta_e=np.concatenate([batch.truth for batch in batches if batch.truth is not None])

@@ -188,7 +188,9 @@ def _pair_table(
             f"for other frames give a mapping of channels to arrays"
         )
     if "sample_time" not in fields:
-        raise UsageError("sample_time is missing: arrays without a time column need it [s]")
+        raise UsageError(
+            "sample_time is missing: arrays without a time column need a sample time [s]"
+        )
     u, i = alphabeta_rows("voltage", voltage), alphabeta_rows("current", current)
     if len(u) != len(i):
         raise RecordError(

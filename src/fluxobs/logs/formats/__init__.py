@@ -39,14 +39,14 @@ FORMATS = {
 }
 #: Openers of formats whose columns may lack names.
 _NAMELESS = ("open_npy", "open_excel")
-#: First bytes of a file → format of the file. They count more than an unknown ending.
+#: First bytes of a file → format of the file. The first bytes decide if the ending is unknown.
 _MAGIC = {b"MDF     ": ".mf4", b"UnFinMF ": ".mf4", b"\x89HDF\r\n": ".h5", b"PAR1": ".parquet"}
 
 __all__ = ["BATCH", "Said", "Table", "missing_column", "open_tables", "read_rows"]
 
 
 def open_tables(path: str | Path, header: list[str] | None = None) -> list[Table]:
-    """Open the tables in a file. Its ending selects the format; the default is delimited text.
+    """Open the tables in a file. The file's ending selects the format; the default is text.
 
     Parameters
     ----------

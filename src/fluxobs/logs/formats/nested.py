@@ -16,7 +16,8 @@ from ..meaning.names import key, read_name
 from .table import BATCH, Columns, Said, Table
 from .timing import INTERVAL, RATE, START
 
-#: Largest number of columns of a matrix. An array with more columns is an image or transposed.
+#: Largest number of columns of a matrix. An array with more columns is an image, or its data are
+#: transposed.
 MOST_COLUMNS = 256
 #: Arrays with fewer rows are parameters, not signals.
 LEAST_ROWS = 8
@@ -29,7 +30,7 @@ class Contents:
     Attributes
     ----------
     columns : dict
-        Path → (rows, function that reads rows first … last - 1).
+        Path → (number of rows, function that reads rows first … last - 1).
     units : dict
     numbers : dict
         Path → scalar.

@@ -30,7 +30,7 @@ class Said:
     time : str, optional
         Time column.
     sample_time : float, optional
-        [s], if the header states the sample time or the sample rate.
+        Sample time [s], if the header states this time or the sample rate.
     start : float
         Time of the first row [s]; the other times follow from sample_time.
     notes : tuple of str
@@ -103,9 +103,9 @@ def missing_column(
     columns, and other missing channels.
     """
     near = difflib.get_close_matches(name, columns, n=3, cutoff=0.4)
-    hint = f"nearest: {', '.join(near)}" if near else f"it has: {', '.join(columns[:40])}"
+    hint = f"nearest: {', '.join(near)}" if near else f"the file has: {', '.join(columns[:40])}"
     return RecordError(
         f"{path}: no column {name!r} for the channel {channel}; {hint}. "
-        f"Name it with {option} {channel}=COLUMN"
+        f"Name the column with {option} {channel}=COLUMN"
         + (f"; {' and '.join(also)} {'is' if len(also) == 1 else 'are'} missing too" * bool(also))
     )

@@ -1,4 +1,4 @@
-"""Check the size of a workbook before reading: the reader allocates all cells up to the last."""
+"""Check the size of a workbook before reading: a reader allocates all cells up to the last cell."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, 
 
 
 def unpacked_size(path: Path) -> int:
-    """Return the unpacked size of an .xlsx or .ods file [bytes]; too large: raise RecordError."""
+    """Return the unpacked size [bytes] of an .xlsx or .ods file; refuse too large files."""
     try:
         with zipfile.ZipFile(path) as book:
             size = sum(part.file_size for part in book.infolist())

@@ -54,7 +54,7 @@ class Layout(BaseModel):
     currents : str, optional
         Frame of the currents, if it differs from `frame`: "alphabeta", "abc" or "dq".
     sample_time : float, optional
-        [s]; needed if there is no column t and the file does not state the sample time.
+        Sample time [s]; needed if there is no column t and the file does not state it.
     lag : float
         Interval over which a row's voltage acts, in samples. With 0, it acts from its row to the
         next; with -1, one sample later; with +1, one sample earlier. Fractions are allowed.

@@ -102,7 +102,8 @@ def _patterns() -> dict[str, re.Pattern[str]]:
 
 
 _LETTERS = str.maketrans({"α": "alpha", "β": "beta", "θ": "theta", "ω": "omega", "φ": "phi"})
-#: Units in brackets, "Ia [mA]", "Ia (mA)", "Ia {mA}"; and behind, "Ia / mA", "Ia, mA", "Ia in mA".
+#: Names with a unit in brackets: "Ia [mA]", "Ia (mA)", "Ia {mA}". Names with a unit after a
+#: separator: "Ia / mA", "Ia, mA", "Ia in mA".
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({]\s*([^\[\](){}]*)\s*[\])}]\s*(.*)$")
 _BEHIND = re.compile(r"^(.*?)(?:\s*/\s*|\s*,\s*|\s+in\s+|\s+)([^\s/,]+)$")
 #: Last elements of a path that have no meaning.

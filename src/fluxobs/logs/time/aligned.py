@@ -88,7 +88,7 @@ class Aligning:
     lag : float
         In samples.
     inverter : InverterError, optional
-        Subtracted from the commanded voltage.
+        Error that is subtracted from the commanded voltage.
     first : int
         Number of the first row.
     """

@@ -378,7 +378,7 @@ def measure(
     """
     reader = _Reader(table, column, scale, offset, given)
     if given is not None:
-        # Gaps change the mean step, and rounding changes the typical step: one must be right.
+        # Gaps change the mean step, and rounding changes the typical step: one must agree.
         deviation = min(abs(reader.typical / given - 1), abs(reader.mean / given - 1))
         if deviation > max(1e-3, 1 / table.rows):
             raise RecordError(

@@ -51,7 +51,7 @@ def resample(course: Course, s: Array, values: Array, t: Array, step: float) -> 
 
 
 def _unwrapped(angle: Array) -> Array:
-    """Return an angle [rad] without jumps; missing values may lie between."""
+    """Remove the jumps of an angle [rad]; values may be missing."""
     finite = np.isfinite(angle)
     unwrapped = np.full_like(angle, np.nan)
     unwrapped[finite] = np.unwrap(angle[finite])

@@ -19,7 +19,7 @@ from .clock import Clock, even, measure
 from .resample import Course
 from .uniform import FilledTable, ResampledTable
 
-#: A sample time in a header is used if it differs from the stamps' by less than this share.
+#: A sample time in a header is used if it differs from the steps of t by less than this share.
 AGREES = 5e-3
 #: Jittering stamps are used if they make the currents smoother by this factor.
 SMOOTHER = 0.9

@@ -50,7 +50,7 @@ def _csv_reader(line: str, delimiter: str) -> Iterator[list[str]]:
 def _split_quoted(line: str, delimiter: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(_csv_reader(line, delimiter), [])]
-    except csv.Error:  # not a line of a table
+    except csv.Error:  # the line is not part of a table
         return [cell.strip() for cell in line.split(delimiter)]
 
 

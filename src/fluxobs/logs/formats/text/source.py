@@ -28,7 +28,7 @@ BETWEEN = ("#", "%")
 EMPTY = " \t\r\n,;|"
 #: Bytes parsed at once: about ten thousand rows.
 BLOCK = 1 << 22
-#: If a file is smaller [bytes], its columns are parsed once and kept, as a run reads a log 5 times.
+#: Columns of files below this size [bytes] are parsed once and kept: a run reads a log five times.
 KEPT = 1 << 26
 #: Largest size of kept columns [bytes]: as numbers, cells of one character are 8 times as large.
 KEPT_NUMBERS = 1 << 28

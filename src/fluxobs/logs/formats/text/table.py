@@ -94,7 +94,7 @@ class TextTable(Table):
         return frozenset(structure.above)
 
     def _find_clocks(self, lines: list[str]) -> dict[str, tuple[str, ...]]:
-        """Return column of wall-clock stamps → formats that may read the stamps."""
+        """Map each column of wall-clock stamps to the formats that may read the stamps."""
         for line in lines[self.structure.first_line :]:
             cells = split(line, self.structure.delimiter)
             if len(cells) >= len(self.columns):
