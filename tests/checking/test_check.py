@@ -1,4 +1,4 @@
-"""check names the usual mistakes with a log, and what the log cannot identify."""
+"""`check` reports the usual mistakes with a log, and what the log cannot identify."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ _AXES = ((1.0, -0.5, -0.5), (0.0, SQRT3 / 2, -SQRT3 / 2))
 @pytest.mark.parametrize(
     ("measured", "phase"),
     [
-        # test_corrections.py tests the map of each; here, one of each kind of log is quick.
+        # test_corrections.py tests each map; here, one sensor of each kind of log is a quick test.
         pytest.param(measured, phase, marks=() if phase == measured[-1] else pytest.mark.slow)
         for measured in ("ab", "bc", "ac", "abc")
         for phase in measured
@@ -125,7 +125,7 @@ def test_a_resistance_line_to_line(tmp_path):
 
 @pytest.mark.parametrize("lag", [-2, -1, 1, 2])
 def test_a_lag(tmp_path, lag):
-    # Fast, so that one sample is a visible angle.
+    # The speed is high, so that the rotor turns visibly within one sample.
     speed = profile((0, 0), (0.3, 471), (1.0, 471), (1.4, -471), (2.0, -471))
     load = profile((0, 2), (0.5, 2), (0.51, 5), (0.8, 5), (0.81, 1), (2, 1))
     columns = log_columns(driven(PMSM, COURSE_TIME, speed, 1j * load, noise=0.01))
@@ -134,7 +134,7 @@ def test_a_lag(tmp_path, lag):
     inner = {name: values[5:-5] for name, values in columns.items()}
     finding = by_kind(check(log_of(tmp_path, inner), PMSM))["lag"]
     assert f"{lag:+d}" in (finding.words, *finding.others)
-    assert not finding.as_given or lag == -1  # its residual is within the model error here
+    assert not finding.as_given or lag == -1  # with lag -1, the residual is within the model error
 
 
 def test_a_steady_log_does_not_identify_the_resistance(tmp_path):

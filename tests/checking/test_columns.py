@@ -1,4 +1,4 @@
-"""Mistakes that the columns of a log reveal; limits from both sides."""
+"""Mistakes that the columns of a log reveal; each limit is tested from both sides."""
 
 from types import SimpleNamespace
 
@@ -86,7 +86,7 @@ def test_a_constant_signal_with_gaps():
 
 
 def unbalanced(gain):
-    """Return currents with another gain of i_a, and their sum as a share of a phase current."""
+    """Return currents with i_a scaled by `gain`, and their sum as a share of a phase current."""
     share = np.sqrt((gain - 1) ** 2 / 2 / ((gain**2 + 2) / 6))
     return THREE | {"i_a": gain * THREE["i_a"]}, share
 
@@ -109,8 +109,8 @@ def test_phase_currents_whose_sum_is_not_zero(gain, blamed):
 def test_a_phase_current_of_the_opposite_sign(name, gain, known):
     (text,) = findings(THREE | {name: -gain * THREE[name]})
     message = (
-        f"columns: {name} has the opposite sign (--scale {name}=-1): with it reversed, the sum "
-        f"is zero"
+        f"columns: {name} has the opposite sign (--scale {name}=-1): with the sign reversed, the "
+        f"sum is zero"
     )
     assert (text == message) == known
 
@@ -138,7 +138,7 @@ def test_a_spike_does_not_unbalance_the_phases():
     ],
 )
 def test_duties_in_counts_or_percent(most, full):
-    """The message names the next full scale of percent, permille and binary counters."""
+    """The message gives the next larger full scale: 100, 1000, or that of a binary counter."""
     duties = {f"d_{p}": np.linspace(0.1, 1, ROWS) * k for k, p in ((0.3, "a"), (0.5, "b"))}
     duties["d_c"] = -most * np.linspace(0.1, 1, ROWS) ** 2
     duties["d_c"][0] = np.nan
@@ -146,18 +146,18 @@ def test_duties_in_counts_or_percent(most, full):
     assert len(texts) == (full is not None)
     for text in texts:
         assert f"a duty reaches {most:g}," in text
-        assert f"full scale is {full:g}: " in text
+        assert f"full scale is {full:g}, " in text
         assert text.endswith(" ".join(f"--scale d_{p}={1 / full:.6g}" for p in "abc"))
 
 
 def test_a_duty_beyond_all_counters_is_the_full_scale():
     (text,) = findings({"d_a": 70000 * np.linspace(0.1, 1, ROWS)})
-    assert "full scale is 70000: --scale d_a=1.42857e-05" in text
+    assert "full scale is 70000, give --scale d_a=1.42857e-05" in text
 
 
 @pytest.mark.parametrize(("mean", "blamed"), [(29, False), (31, True), (-31, True)])
 def test_whole_numbers_about_a_large_mean(mean, blamed):
-    counts = mean + 10.0 * (-1.0) ** np.arange(ROWS)  # a standard deviation of 10
+    counts = mean + 10.0 * (-1.0) ** np.arange(ROWS)  # the standard deviation is 10
     counts[0] = np.nan
     texts = findings({"i_a": counts, "i_b": np.cos(PHASE)})
     assert len(texts) == blamed
@@ -181,7 +181,7 @@ def test_whole_numbers_that_hardly_change():
 def test_fractions_are_not_counts(fraction):
     whole = 100 + np.round(10 * np.cos(PHASE))
     assert findings({"i_a": whole + fraction}) == []
-    assert findings({"i_a": whole})[0].startswith("columns: whole")
+    assert findings({"i_a": whole})[0].startswith("columns: the values are whole")
     assert findings({"i_a": np.full(ROWS, np.nan), "i_b": np.cos(PHASE)}) == []
 
 
@@ -213,13 +213,13 @@ def test_spikes_are_reported_from_three_on(count, blamed):
     texts = findings({"d_a": spiked["i_beta"] / 100, **spiked})
     assert len(texts) == blamed
     for text in texts:
-        assert text.startswith("spikes: single rows far from their neighbours (i_beta: 3, ")
+        assert text.startswith("spikes: single rows are far from their neighbours (i_beta: 3, ")
         assert f"in {ROWS} rows)" in text
 
 
 @pytest.mark.parametrize("length", [50_000, 50_001])
 def test_twenty_thousand_rows_from_the_middle(length):
-    """They lie in the middle of the rows to be read."""
+    """The rows checked lie in the middle of the rows to be read."""
     spiked = waves(length)
     first, last = 2000, length - 1000
     start = (first + last - 20_000) // 2

@@ -1,4 +1,4 @@
-"""Effect of each mistake on vectors and parameters, against phases that are really exchanged."""
+"""Each mistake's effect on vectors and parameters, compared with really exchanged phases."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def right(mistake, of):
         ("b and c are exchanged", vector(A, C, B)),
         ("a and b are exchanged", vector(B, A, C)),
         ("a and c are exchanged", vector(C, B, A)),
-        ("(b c a)", vector(C, A, B)),  # names the order that restores a, b, c
+        ("(b c a)", vector(C, A, B)),  # the text gives the order that restores a, b, c
         ("(c a b)", vector(B, C, A)),
         ("α and β", Z.imag + 1j * Z.real),
     ],
@@ -85,7 +85,7 @@ def test_two_phases_given_as_alpha_and_beta():
 def test_line_voltages_and_phase_voltages():
     np.testing.assert_allclose(LINE[0].voltage(vector(A - B, B - C, C - A)), Z)
     np.testing.assert_allclose(LINE[1].voltage(vector(A - C, B - A, C - B)), Z)
-    # Phases a and b, read as u_ab and u_bc.
+    # Voltages of phases a and b that were read as u_ab and u_bc.
     from_lines = vector((2 * A + B) / 3, (B - A) / 3, -(A + 2 * B) / 3)
     np.testing.assert_allclose(NEUTRAL[0].voltage(from_lines), Z)
     for mistake in (*LINE, *NEUTRAL):
@@ -105,7 +105,7 @@ def test_line_voltages_and_phase_voltages():
     ],
 )
 def test_scaled_signals_look_like_scaled_parameters(words, voltage, current):
-    """With v u and c i, the relation u = R i + dλ/dt holds with R v/c, L v/c and ψ v."""
+    """If u and i are scaled by v and c, u = R i + dλ/dt holds with R v/c, L v/c and ψ v."""
     (mistake,) = [one for one in SCALES if one.words.startswith(words)]
     R, L, psi, i, di = 2.0, 0.1, 0.5, 3.0 + 1j, -7.0j
     u = R * i + L * di + 1j * psi
@@ -120,7 +120,7 @@ def test_scaled_signals_look_like_scaled_parameters(words, voltage, current):
     ("words", "right_over_given"),
     [
         ("R_s in the machine file is line to line (halve it)", (1 / 2, 1, 1)),
-        ("R_s in the machine file is half of a phase's (double it)", (2, 1, 1)),
+        ("R_s in the machine file is half the phase's R_s (double it)", (2, 1, 1)),
         ("R_s and inductances in the machine file are line to line", (1 / 2, 1 / 2, 1)),
         ("psi_f in the machine file is an rms value (multiply by √2)", (1, 1, np.sqrt(2))),
         ("psi_f in the machine file is line to line (divide by √3)", (1, 1, 1 / np.sqrt(3))),
@@ -162,7 +162,7 @@ def test_the_prior_of_a_mistake():
 
 
 def test_the_prior_of_an_unknown_factor():
-    """The common factor has a standard deviation of e^3.5, on top of each own one."""
+    """The variance of the common factor, 3.5² in ln, is added to that of each parameter."""
     precision = FACTOR[0].prior(0.0).precision
     covariance = np.linalg.inv(precision)
     expected = np.diag([0.25, 0.15, 0.08, 0.1]) ** 2

@@ -1,4 +1,4 @@
-"""Findings from a search result: thresholds from both sides, numbers in closed form."""
+"""Findings from a search result: thresholds tested from both sides, numbers in closed form."""
 
 from types import SimpleNamespace
 
@@ -41,13 +41,13 @@ def result(others=(), mistakes=(), alternatives=None, **best):
 
 
 def test_the_cost_of_a_candidate():
-    """The cost is misfit over level, plus distance from the prior, plus odds."""
+    """The cost is misfit divided by level, plus distance from the prior, plus odds."""
     assert candidate(SIGN[0], misfit=12.0, distance=1.5).cost(2.0) == 6.0 + 1.5 + 5.0
 
 
 @pytest.mark.parametrize(("more", "alike"), [(7.9, True), (8.1, False)])
 def test_what_fits_equally_well(more, alike):
-    """The limit is a cost difference of four, without the odds; the level of misfits is 2 here."""
+    """The limit is a cost difference of 4 without the odds: a misfit of 8, as the level is 2."""
     other = candidate(LAG[2], misfit=10.0 + more)
     finding = _make_finding("lag", result([other]), -1.0, "psi_f")
     assert finding.as_given
@@ -142,7 +142,7 @@ def test_an_unidentifiable_resistance(std, identifiable):
 )
 def test_a_mechanical_angle_makes_the_flux_n_p_times_as_large(ratio, frame, asked):
     words = scaled(FILE[0], [0, 0, np.log(ratio), 0], frame=frame).words
-    assert ("is theta_e the mechanical angle? Then --scale theta_e=3" in words) == asked
+    assert ("is theta_e the mechanical angle? Then give --scale theta_e=3" in words) == asked
 
 
 @pytest.mark.parametrize(
@@ -150,12 +150,12 @@ def test_a_mechanical_angle_makes_the_flux_n_p_times_as_large(ratio, frame, aske
     [
         (FILE[1], f"{1.5 * PMSM.R_s:.3g} Ω fits"),
         (FILE[2], f"L_s = {2 * PMSM.L_s:.3g} H fits"),
-        (FACTOR[0], "multiply them by about 2, or does the file describe another machine?"),
-        (FACTOR[1], "multiply them by about 0.5, or does the file describe another machine?"),
+        (FACTOR[0], "multiply them by about 2, unless the file describes another machine"),
+        (FACTOR[1], "multiply them by about 0.5, unless the file describes another machine"),
     ],
 )
 def test_the_likely_value(whole, message):
-    """The value is that of the best-known parameter."""
+    """The likely value is taken from the parameter with the smallest standard deviation."""
     values = [np.log(1.5), np.log(2), np.log(4), 0]
     best = candidate(whole, values=values, std=[0.09, 0.01, 0.05, 0.1])
     assert _likely_value(best, PMSM) == message
@@ -170,14 +170,14 @@ def test_the_likely_inductances_of_both_axes():
 @pytest.mark.parametrize(
     ("drops", "message"),
     [
-        (0.29, "the drop at its R_s would be 3.45 times the voltage"),
+        (0.29, "the drop at R_s would be 3.45 times the voltage"),
         (0.31, "hardly more than the resistive drop"),
         (1.49, "hardly more than the resistive drop"),
         (1.51, "and are its kind, R_s and inductances right?"),
     ],
 )
 def test_no_explanation_fits(drops, message):
-    """The median voltage over the median resistive drop decides the message."""
+    """The ratio of the median voltage to the median resistive drop decides the message."""
     current = np.array([[2.0, 2j, -100.0]])
     voltage = drops * PMSM.R_s * np.array([[2.0, 2.0, 0.0]])
     search = SimpleNamespace(data=SimpleNamespace(voltage={0: voltage}, current=current))

@@ -1,4 +1,4 @@
-"""Steps of the fit behind `check`, each against a direct computation."""
+"""Steps of the fit behind `check`, each compared with a direct computation."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_integrals_start_at_the_first_row():
     assert integrated.size == pytest.approx(np.abs(voltage).mean())
     for k in range(2):
         padded = np.concatenate([np.full(3, current[k, 0]), current[k]])
-        # Mean of the cubic through four samples over its last interval.
+        # Mean, over the last interval, of the cubic through four samples.
         cubics = (np.polyint(np.polyfit(range(4), padded[n : n + 4], 3)) for n in range(30))
         mean = np.array([np.polyval(cubic, 3) - np.polyval(cubic, 2) for cubic in cubics])
         signs = inverter_direction(np.stack([mean.real, mean.imag], 1), 0.3) @ [1, 1j]
@@ -79,13 +79,13 @@ def test_the_start_is_exact_on_circles():
 
 
 def test_the_misfit_of_an_ellipse():
-    """Mean squared residual of the linear fit of |x|², over |x|⁴; scale and offset cancel."""
+    """Mean squared residual of |x|² divided by |x|⁴: scale and offset have no effect."""
     y, t = circles(np.zeros(2), np.zeros(2))
     ellipse = y.real + 0.9j * y.imag
     misfit = _initial_flux(ellipse, t)[2]
     assert 1e-5 < misfit < 5e-3
     assert _initial_flux(1e3 * ellipse + 7j, t)[2] == pytest.approx(misfit)
-    # The same by least squares over the same unknowns.
+    # The misfit, computed by least squares over the same unknowns.
     losses, squares = [], []
     for z in ellipse:
         z, s = z - z.mean(), t[0] / t[0, -1]
@@ -97,7 +97,7 @@ def test_the_misfit_of_an_ellipse():
 
 
 def record(machine, i_dq=2 + 3j, inverter=0.0, noise=0.0, speeds=(200.0, -300.0, 120.0)):
-    """Return integrated rows of a flux that rotates at constant speed, exactly."""
+    """Return exactly integrated rows of a flux that rotates at constant speed."""
     t = np.tile(H * np.arange(600.0), (len(speeds), 1))
     theta = np.array(speeds)[:, None] * t + np.arange(len(speeds))[:, None]
     turn = np.exp(1j * theta)
@@ -111,7 +111,7 @@ def record(machine, i_dq=2 + 3j, inverter=0.0, noise=0.0, speeds=(200.0, -300.0,
     else:
         flux = machine.saturation.table.flux(i / turn) * turn
     charge = (i / (1j * np.array(speeds)[:, None])) - (i / (1j * np.array(speeds)[:, None]))[:, :1]
-    sign = np.conj(turn) * H  # any signal unlike the others
+    sign = np.conj(turn) * H  # any signal that differs from the other signals
     sign = np.cumsum(sign, axis=1) - sign[:, :1]
     size = 100.0
     voltage = flux - flux[:, :1] + machine.R_s * charge + inverter * size * sign
@@ -142,7 +142,7 @@ def test_wrong_parameters_are_found():
 
 
 def full_step(relation, point, prior):
-    """Return the Gauss-Newton step in all unknowns: λ₀ and θ of each segment, then parameters."""
+    """Return the Gauss-Newton step: λ₀ and θ of each segment, then the parameters."""
     P, M, _ = point.columns.shape
     n = 4 * P + 4
     J, r = np.zeros((P * M, n)), np.zeros(P * M)
@@ -193,7 +193,7 @@ def test_a_step_equals_that_of_the_whole_system(machine):
 
 
 def test_the_cost_of_a_point():
-    """The distance is that of the drift, over 3 % of the voltage, and of the parameters."""
+    """The distance adds squared drifts, relative to 3 % of the voltage, and squared deviations."""
     prior = Prior(np.array([0.1, 0.0, -0.1, 0.02]), TIGHT.precision)
     relation, values, linearised, slope = point(PMSM, prior)
     drift = np.sum(np.abs(slope / (0.03 * relation.data.size)) ** 2)
@@ -211,7 +211,7 @@ def test_the_cost_of_a_point():
 
 @pytest.mark.parametrize("name", ["ipm-5kw6", "ipm-2kw2", "pmsm-2kw2"])
 def test_derivatives_of_the_length(name):
-    """The derivatives by flux and inductances equal finite differences."""
+    """The derivatives by flux and by inductances equal finite differences."""
     machine = example(name)
     data, _, start = record(machine)
     relation = RelationResidual(machine, data, 0.0)

@@ -1,4 +1,4 @@
-"""The results of this room do not change; those of arrays are compared as objects."""
+"""Results of `checking` cannot be changed; results with arrays are compared as objects."""
 
 from fluxobs import checking
 from support.frozen import frozen_tests

@@ -1,6 +1,6 @@
-"""Every usual mistake, by `check` and `estimate`, with and without a true angle.
+"""`check` and `estimate` on every usual mistake, with and without a true angle.
 
-The cause is named, or the log cannot identify it; nothing else is blamed.
+They report the mistake or say that the log cannot identify it; they report no other mistake.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def phases(what, change):
 
 
 def dq(angle):
-    """Return the same record in rotor coordinates, with a column of the rotor angle."""
+    """Return SAMPLES in rotor coordinates, with `angle` as the column of the rotor angle."""
     theta = SAMPLES.theta
     i = SAMPLES.current @ [1, 1j] * np.exp(-1j * theta)
     middle = np.concatenate([theta[:1], (theta[1:] + theta[:-1]) / 2])
@@ -77,8 +77,8 @@ AS_ALPHABETA = {
 } | {"t": GOOD["t"]}
 ONLY_TRUTH = "Only a true angle"
 
-#: Changed columns, machine, layout; text expected without and with a true angle. None: no finding,
-#: or with a true angle the same text.
+#: Changed columns, machine, layout, expected text without a true angle, expected text with one.
+#: None as the first text: no finding is expected. None as the second text: both texts are equal.
 CASES = {
     "nothing": ({}, PMSM, {}, None, None),
     "current's phases shifted": (permuted("i", "bca"), PMSM, {}, r"shifted by one \(c a b\)", None),
@@ -127,7 +127,7 @@ CASES = {
         *(permuted("i", "abc") | {f"u_{p}": GOOD[f"i_{p}"] for p in "abc"}, PMSM, {}),
         *("u_a and i_a hold the same signal", None),
     ),
-    "a reluctance machine": ({}, example("synrm-6kw7"), {}, "one with a magnet does", None),
+    "a reluctance machine": ({}, example("synrm-6kw7"), {}, "a machine with a magnet does", None),
     "angle in degrees": (
         *(dq(np.degrees(THETA)), PMSM, {"frame": "dq", "lag": 0, "unit": {"theta_e": "rad"}}),
         *("theta_e wraps at 360: it is probably not in radians", None),
@@ -162,7 +162,7 @@ def case(name, with_truth):
 
 
 def cases(quick):
-    """Return (name, with_truth) of every case, with marks on the slow ones."""
+    """Return (name, with_truth) for every case; slow cases are marked as slow."""
     return [
         pytest.param(
             name,
@@ -175,7 +175,7 @@ def cases(quick):
     ]
 
 
-# Where a true angle does not change the text, one of the two is quick.
+# If a true angle does not change the text, only the case without a true angle is quick.
 @pytest.mark.parametrize(
     ("name", "with_truth"),
     cases(lambda name, with_truth: not with_truth or CASES[name][-1] is not None),
@@ -189,7 +189,7 @@ def test_check(name, with_truth):
     assert re.search(message, str(found)), str(found)
     ambiguous = message == ONLY_TRUTH or message.startswith("Fits equally")
     assert found.sound == ambiguous, str(found)
-    # Only the mistake of this case is blamed.
+    # Only the mistake of this case is reported.
     blamed = [str(finding) for finding in found.mistakes]
     assert all(re.search(message, text) for text in blamed[:1]), blamed
 

@@ -1,4 +1,4 @@
-"""The fit behind `check`: its result, its derivatives, and no bias by noise."""
+"""The fit behind `check`: its result and derivatives; noise does not bias the result."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_wrong_parameters_are_found(data):
     np.testing.assert_allclose(np.exp(fit.values[[R, PSI]]), [1.4, 1.2], rtol=0.03)
     assert (
         abs(fit.values[L] - np.log(0.8)) < 3 * fit.std[L]
-    )  # hardly identifiable: no current along d
+    )  # L is hardly identifiable without current along d
     assert fit.values[INVERTER] * residual.data.size == pytest.approx(5.0, rel=0.05)
     assert fit.share < 0.003
 
@@ -115,7 +115,7 @@ def test_spikes_are_single_rows():
 
 @pytest.mark.parametrize("psi_error", [0.0, 0.02, 0.3])
 def test_the_misfit_is_hubers_loss_of_pairs(data, psi_error):
-    """Small residuals count by squares, large ones linearly."""
+    """The loss of small residuals is quadratic, that of large residuals is linear."""
     residual_function = relation(PMSM, data)
     values = np.array([0.0, 0.0, psi_error, 0.0])
     start = np.zeros((len(data.current), 1), complex)

@@ -1,4 +1,4 @@
-"""Cutting segments out of a log: gaps, spikes, lengths, choice; limits from both sides."""
+"""Segments of a log: gaps, spikes, lengths, choice; each limit is tested from both sides."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_an_implausible_value_is_a_gap(value, measured):
 
 
 def noisy(count=2001):
-    """Return a signal whose every row is 1 away from the line between its neighbours."""
+    """Return a signal in which every row is 1 away from the line between its neighbours."""
     return 0.5 * (-1.0) ** np.arange(count) + 0j
 
 
@@ -99,8 +99,8 @@ def test_clean_removes_gaps_and_spikes():
     [
         (100.0, 9000, 1885),  # three turns
         (-100.0, 9000, 1885),
-        (1000.0, 9000, 500),  # at least 0.05 s
-        (100.0, 1500, 1500),  # at most all rows
+        (1000.0, 9000, 500),  # A segment lasts at least 0.05 s.
+        (100.0, 1500, 1500),  # A segment has at most all rows.
     ],
 )
 def test_a_segment_lasts_three_turns(speed, count, rows):
@@ -135,7 +135,7 @@ def test_the_resistance_is_limited_by_the_log():
 
 
 def test_distant_features_are_chosen():
-    """The first choice has the largest first feature; each next one is farthest from those."""
+    """The first choice has the largest first feature; later choices are far from the others."""
     features = np.array([[0.0, 0], [1.0, 0], [0.9, 0], [0.4, 0], [0.0, 0.9]] + [[0.95, 0.01]] * 7)
     distances = np.linalg.norm(features[:, None] - features, axis=2)
     chosen = [1]
@@ -160,7 +160,7 @@ def test_segments_of_a_steady_log():
     assert segments.current.shape == (10, rows)
     assert set(segments.voltage) == {-2, -1, 0, 1, 2}
     assert segments.truth is None
-    for lag in (-2, -1, 1, 2):  # the voltages of shifted intervals
+    for lag in (-2, -1, 1, 2):  # these are the voltages of shifted intervals
         shifted, given = segments.voltage[lag], segments.voltage[0]
         overlap = (shifted[:, 5:-5], given[:, 5 - lag : rows - 5 - lag])
         other = (shifted[:, 5:-5], given[:, 5 + lag : rows - 5 + lag])
@@ -169,7 +169,7 @@ def test_segments_of_a_steady_log():
 
 
 def test_slow_segments_are_skipped():
-    """A segment is slow if its EMF is below 15 % of the largest."""
+    """A segment is slow if its EMF is below 15 % of the largest EMF."""
     fast = np.arange(24_000) < 12_000
     for slow, kept in ((48.0, True), (40.0, False)):
         samples = steady(PMSM, 1e-4, np.where(fast, 300.0, slow), 24_000, 1e-3j)

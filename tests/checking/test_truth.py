@@ -1,4 +1,4 @@
-"""Mistakes with a true angle, from position vectors in closed form; limits from both sides."""
+"""Mistakes with a true angle, for position vectors in closed form; limits from both sides."""
 
 import re
 from dataclasses import replace
@@ -22,7 +22,7 @@ THETA = SPEEDS[:, None] * H * np.arange(ROWS) + np.array([[0.1], [2.0], [-1.0], 
 def judged(values, channel="theta_e", machine=PMSM, lags=(0,), theta=THETA):
     """Return the findings on a channel for position vectors at `theta`.
 
-    Each further lag rotates the vectors by the angle of a sample.
+    Each further lag rotates the vectors by the angle that the rotor turns in one sample.
     """
     voltage = np.zeros(theta.shape, complex)
     data = Segments(H, voltage, {0: voltage}, values)
@@ -70,7 +70,7 @@ def test_a_delay_grows_with_the_speed(samples):
 
 @pytest.mark.parametrize(("samples", "blamed"), [(2.2, False), (2.5, True)])
 def test_a_delay_is_blamed_from_four_degrees_at_the_highest_speed_on(samples, blamed):
-    """300 rad/s and 2.33 samples of 0.1 ms are 4 degrees."""
+    """At 300 rad/s, the rotor turns by 4 degrees in 2.33 samples of 0.1 ms."""
     texts = words(THETA - samples * H * SPEEDS[:, None])
     assert any("grows with the speed" in text for text in texts) == blamed
 
@@ -85,14 +85,14 @@ def test_noise_hides_errors_below_three_times_its_size():
 @pytest.mark.parametrize(("scatter", "fits"), [(35.0, True), (46.0, False)])
 def test_an_angle_with_errors_of_forty_degrees_does_not_fit(scatter, fits):
     error = np.radians(scatter) * np.where(np.arange(ROWS) // 4 % 2, 1.0, -1.0)
-    error[-4:] = error[0]  # the same rotation in total
+    error[-4:] = error[0]  # the total rotation is the same as without the error
     assert ("does not fit it" in words(THETA + error)[0]) == (not fits)
 
 
 @pytest.mark.parametrize(
     ("factor", "channel", "message"),
     [
-        (-1.0, "theta_e", "turns against the estimated one"),
+        (-1.0, "theta_e", "turns against the estimated angle"),
         (180 / np.pi, "theta_e", r"is in degrees \(--scale theta_e=0\.01745329\)"),
         (1 / (2 * np.pi), "theta_e", r"is in turns \(--scale theta_e=6\.283185\)"),
         (180 / np.pi / 3, "theta_e", r"in degrees \(--scale theta_mech=0\.01745329\)"),
@@ -141,7 +141,7 @@ def test_without_rotation_or_angle_there_is_no_finding():
 
 @pytest.mark.parametrize(("square", "has_finding"), [(0.97, False), (1.03, True)])
 def test_a_rotation_of_one_radian_is_enough(square, has_finding):
-    """The limit applies to the sum of the squares over the segments."""
+    """The limit applies to the sum of squared rotations over the segments."""
     moved = (THETA[:, AT[-1]] - THETA[:, 0]) ** 2
     small = np.sqrt(square / moved.sum()) * THETA
     assert bool(words(small, theta=small)) == has_finding

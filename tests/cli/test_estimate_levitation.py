@@ -119,7 +119,7 @@ def test_current_bias_of_a_reluctance_machine(folder):
         (["maglev.csv", "--machine", "servo-400w", "--frame", "ports"], "does not fit kind surf"),
         (
             ["maglev.csv", "--machine", "maglev-knospe", "--truth", "theta_e=y"],
-            "kind maglev-2dof has position",
+            "does not fit kind maglev-2dof; use position",
         ),
         (
             ["maglev.csv", "--machine", "maglev-knospe", "--memory", "0.01"],

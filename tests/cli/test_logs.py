@@ -247,7 +247,7 @@ MISTAKES = {
         lambda f: csv(f, DEMO, include_header=False),
         ["new.csv"],
         2,
-        'Name them with --header "t,u_a,…"',
+        'Name the columns with --header "t,u_a,…"',
     ),
     "names without meaning": (
         lambda f: csv(f, dict(zip("ABCDEF", DEMO, strict=True))),

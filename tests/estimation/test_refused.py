@@ -81,7 +81,7 @@ REFUSED = {
     "a layout of a record": (
         lambda: fluxobs.estimate(Record(H, U, I), SERVO, lag=-1),
         UsageError,
-        ["lag", "in a Record"],
+        ["lag", "for a Record"],
     ),
     "a truth that is not a channel": (
         lambda: fluxobs.estimate(COLUMNS, SERVO, truth={"angle": "t"}),

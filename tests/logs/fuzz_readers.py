@@ -1,10 +1,10 @@
-"""Fuzz the readers: each damaged log is read, or refused with a FluxobsError that names the file.
+"""Fuzz the readers: a damaged log must be read, or refused by a FluxobsError that names the file.
 
     python tests/logs/fuzz_readers.py [--cases 4000] [--seed 1] [--keep FOLDER]
 
 Damage files of the corpus (change bytes, cut, duplicate, replace numbers by implausible ones) and
-read them within limits of time and memory. On anything else (another exception, a crash, a hang,
-too much memory) keep the file and exit with 1. The same seed makes the same files.
+read them within limits of time and memory. If anything else happens (another exception, a crash, a
+hang, too much memory), keep the file and exit with 1. A seed always makes the same files.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ PATTERNS = [
 
 
 def damage(content: bytes, rng: random.Random) -> bytes:
-    """Return the content with one to four damages."""
+    """Return the content, damaged at one to four places."""
     damaged = bytearray(content)
     for _ in range(rng.randint(1, 4)):
         if not damaged:
             break
         at = rng.randrange(len(damaged))
-        # Headers matter most, and the ends of zip files.
+        # Headers, and the ends of zip files, are the most important places.
         at = rng.choice([at, at % 400, len(damaged) - 1 - at % min(400, len(damaged))])
         kind = rng.randrange(7)
         if kind == 0:
@@ -100,7 +100,7 @@ def read(path: Path) -> None:
 
 
 def work(seed: int, numbers: list[int], folder: str, reports: multiprocessing.Queue) -> None:
-    """Read cases one by one; report each before it starts, and its failure after it."""
+    """Read cases one by one; report the start of each case, and then its failure."""
     from fluxobs import FluxobsError
 
     warnings.simplefilter("ignore")
@@ -110,7 +110,7 @@ def work(seed: int, numbers: list[int], folder: str, reports: multiprocessing.Qu
         path = Path(folder) / f"{number}_{name}"
         path.write_bytes(content)
         reports.put((number, "begun"))
-        signal.alarm(SECONDS)  # ends the process, whatever the readers do
+        signal.alarm(SECONDS)  # ends the process, even if a reader hangs
         failure = ""
         try:
             read(path)

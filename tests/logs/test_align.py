@@ -1,4 +1,4 @@
-"""Differences between two clocks: correlations against brute force, and turning vectors."""
+"""Differences between two clocks: correlations, compared with brute force, and turning vectors."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ WAVE -= WAVE.mean()
 
 @pytest.mark.parametrize("lag", [-700, -1, 0, 5, 1500])
 def test_the_shift_of_a_signal(lag):
-    """Also for excerpts of different length."""
+    """The shift is also found for excerpts of different length."""
     a, b = WAVE[1000:3000], WAVE[1000 + lag : 2500 + lag]
     shift, peak, std, second = _correlate(a, b, H)
     assert shift == pytest.approx(lag * H, abs=0.01 * H)
@@ -81,7 +81,7 @@ def test_the_standard_deviation_of_a_shift_covers_it():
 
 
 def test_a_periodic_signal_has_a_second_shift():
-    """Of ambiguous shifts, the one with the most rows is returned."""
+    """If shifts are ambiguous, the shift with the most rows is returned."""
     k = np.arange(2000)
     wave = np.sin(2 * np.pi * k / 250)
     shift, peak, _, second = _correlate(wave, np.roll(wave, -30), H)
@@ -102,7 +102,7 @@ def test_at_least_a_quarter_of_the_shorter_one_has_to_overlap():
 
 @pytest.mark.parametrize("lag", [40, 90, 99])
 def test_a_short_file_late_in_a_long_one(lag):
-    """Shifts beyond half of the length of the transform."""
+    """The shifts exceed half of the length of the transform."""
     shift, peak, _, _ = _correlate(WAVE[:128], WAVE[lag : lag + 28], H)
     assert shift == pytest.approx(lag * H, abs=0.1 * H)
     assert peak == pytest.approx(1.0)
@@ -112,7 +112,7 @@ def test_a_short_file_late_in_a_long_one(lag):
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_peak_at_the_edge_of_the_allowed_overlap_is_not_interpolated(sign):
-    """It has a neighbour on one side only: no parabola. The summit is at a quarter of overlap."""
+    """A peak with only one neighbour has no parabola. The peak is at a quarter of the overlap."""
     a, b = RNG.normal(0, 0.1, (2, 400))
     a[:101], b[299:] = 1.0 + np.arange(101), 1.0 + np.arange(101)
     a, b = (a, b) if sign > 0 else (b, a)
@@ -124,7 +124,7 @@ def test_a_peak_at_the_edge_of_the_allowed_overlap_is_not_interpolated(sign):
 
 @pytest.mark.parametrize("lag", [0, 300])
 def test_constant_stretches_do_not_correlate(lag):
-    """A current is zero before the start: its sums are rounding errors."""
+    """A current is zero before the start of a drive: sums of zeros are rounding errors."""
     a, b = np.zeros(2000), np.zeros(2000)
     a[1200:1700], b[1200 - lag : 1700 - lag] = WAVE[:500], WAVE[:500]
     shift, peak, _, second = _correlate(a, b, H)
@@ -175,19 +175,19 @@ def side(name, columns):
 
 
 def test_of_several_columns_of_both_files_the_first_channel_is_compared():
-    """The first in the order of COMMON; the other one has a different shift."""
+    """The first channel in the order of COMMON is compared; the second has a different shift."""
     base = side("one", {"i_b": WAVE[:3000], "i_a": WAVE[500:3500]})
     other = side("two", {"i_b": WAVE[90:3090], "i_a": WAVE[540:3540]})
     shift, note = aligned_by_content(base, other)
     assert shift == pytest.approx(0.04, abs=1e-5)
-    assert "by the column i_a of both files" in note
+    assert "according to the column i_a of both files" in note
 
 
 def test_the_clock_offset_is_reported():
     base, other = side("one", {"i_a": WAVE[:3000]}), side("two", {"i_a": WAVE[40:3040]})
     shift, note = aligned_by_content(base, other)
     assert shift == pytest.approx(0.04, abs=1e-5)
-    assert "by the column i_a of both files its clock is -0.04" in note
+    assert "according to the column i_a of both files, the file's clock is -0.04" in note
     assert "correlation 1.000" in note
 
 
@@ -200,7 +200,7 @@ def test_a_correlation_of_a_half_is_needed(share, accepted):
     if accepted:
         assert aligned_by_content(*sides)[0] == pytest.approx(0.0, abs=5 * H)
     else:
-        with pytest.raises(RecordError, match="that is too weak to rely on"):
+        with pytest.raises(RecordError, match="this correlation is too weak to rely on"):
             aligned_by_content(*sides)
 
 
@@ -209,7 +209,7 @@ def test_a_column_of_both_files_reveals_a_shift_of_two_samples(rows, doubted):
     base, other = side("one", {"i_a": WAVE[9:3009]}), side("two", {"i_a": WAVE[9 + rows :][:3000]})
     doubt = doubt_of_time(base, other)
     assert (doubt is not None) == doubted
-    assert doubt is None or "though both have times" in doubt
+    assert doubt is None or "although both files have times" in doubt
 
 
 @pytest.mark.parametrize(("share", "doubted"), [(0.85, True), (0.74, False)])

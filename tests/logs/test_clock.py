@@ -1,4 +1,4 @@
-"""Clocks by hand: rows and times of a log with gaps; limits of rounding, steps and wraps."""
+"""Clocks, computed by hand: rows and times of a log with gaps; limits of rounding, steps, wraps."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,8 @@ from fluxobs.logs.time.clock import (
 )
 
 H = 1e-3
-#: Rows 0 … 9 of the file, three missing, 10 … 19, and a gap that was shortened from 1 s to 4 rows.
+#: Rows 0 … 9 of the file, three missing rows, rows 10 … 19, a gap shortened from 1 s to 4 rows, and
+#: the remaining rows.
 GAPS = Clock(
     H,
     5.0,
@@ -42,7 +43,7 @@ def test_times_of_rows_in_pieces_and_gaps():
 
 
 def test_within_a_gap_that_loses_time_rows_stay_before_its_end():
-    """Stamps after a gap may be earlier than a whole number of samples."""
+    """The stamp after a gap may be earlier than the number of missing samples suggests."""
     early = Clock(
         *(H, 0.0, 20, np.array([0, 5]), np.array([0, 10]), np.array([0.0, 0.0071])),
         *(5, 0.0, 0.0, np.zeros(1), 0.0),
@@ -65,7 +66,7 @@ def test_rows_of_the_file_among_the_uniform_rows():
     [(GAPS, (-0.4, 0.0, 0.4)), (even(40, H, 5.0), (-0.4, -5e-7, 0.0, 5e-7, 0.4))],
 )
 def test_the_row_at_a_time(clock, offsets):
-    """The first row at or after it, or the row after the last one before it, within rounding."""
+    """With `up`: first row at or after the time. Without: row after the last row up to the time."""
     t = clock.times(np.arange(clock.rows))
     for at in (row + offset * H for row in t for offset in offsets):
         assert clock.row_at(at, up=True) == np.sum(t < at - 1e-6 * H)
@@ -98,7 +99,7 @@ def test_an_even_clock():
     [(1.0, 0), (1.59, 0), (1.61, 1), (2.4, 1), (2.6, 2), (3.0, 2), (100.0, 99)],
 )
 def test_samples_that_are_missing_in_a_step(steps, missing):
-    """A gap begins at 1.6 samples; its length is a whole number of samples."""
+    """A step is a gap from 1.6 samples on; the gap is a whole number of samples."""
     assert missing_steps(np.array([steps * H]), H, 0.0).tolist() == [missing]
 
 
@@ -112,7 +113,7 @@ def test_rounding_allows_for_longer_steps_if_it_is_worth_a_word():
 @pytest.mark.parametrize("size", [digit * 10.0**-n for n in range(1, 7) for digit in (1, 2, 5)])
 @pytest.mark.parametrize("step", [0.3, 0.9, 1.7, 4.3, 37.7])
 def test_the_digits_of_stamps(size, step):
-    """Only differences of stamps count: they may begin anywhere."""
+    """Only differences of stamps count: the first stamp may have any value."""
     t = size * np.round(step * np.arange(1000)) + 1.2345
     assert rounding_of(t) == pytest.approx(size)
 
@@ -203,7 +204,7 @@ def test_a_sample_time_that_is_given_must_agree(share, agrees):
 
 @pytest.mark.parametrize(("lost", "joined"), [(14, True), (17, False)])
 def test_a_wrap_may_lose_sixteen_samples(lost, joined):
-    """A longer step is not taken for the wrap of a counter."""
+    """A longer step is not the wrap of a counter, but an error."""
     rows = np.delete(np.arange(300), slice(150, 150 + lost))
     t = np.mod(rows * 1e-4 + (2**16 / 1e6 - 0.01505), 2**16 / 1e6)
     if joined:
@@ -228,7 +229,7 @@ def log_at(stamps, **given):
 
 
 def test_a_given_sample_time_is_confirmed_by_the_mean_or_by_the_usual_step():
-    """A gap shifts the mean, rounding the usual step."""
+    """A gap changes the mean step; rounding changes the usual step."""
     gap = 4e-4 * np.concatenate([np.arange(300), np.arange(420, 900)])
     assert log_at(gap, sample_time=4e-4).sample_time == pytest.approx(4e-4)
     rounded = np.round(4e-4 * np.arange(2001), 3)

@@ -1,4 +1,4 @@
-"""One run in the layouts of tools and instruments: each file gives the same angle."""
+"""One run, saved in the layouts of many tools and instruments: each file gives the same angle."""
 
 import importlib.util
 from pathlib import Path
@@ -15,7 +15,7 @@ corpus = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(corpus)
 
 SIGNALS = corpus.run()
-#: Angle error [°] where the first interval is unknown or values are rounded.
+#: Angle error [°] of files whose first interval is unknown or whose values are rounded.
 ROUNDING = dict.fromkeys(("mesc.csv", "odrive.csv", "moteus.npz", "vesc-sampled.csv"), 0.01)
 TOLERANCE = 5e-4
 #: Formats whose files contain a date or compressed bytes.
@@ -44,7 +44,7 @@ def expected():
 @pytest.mark.parametrize("name", corpus.LAYOUTS)
 def test_the_first_command_is_right(name, expected):
     options = {"preset": corpus.PRESETS[name]} if name in corpus.PRESETS else {}
-    if name == "moteus.npz":  # its stream has no time, and is not at the usual 30 kHz
+    if name == "moteus.npz":  # the stream has no time, and its rate is not the usual 30 kHz
         options["sample_time"] = corpus.SAMPLE_TIME
     result = fluxobs.estimate(corpus.FOLDER / name, corpus.MACHINE, unknowns="drift", **options)
     assert len(result.estimates) == corpus.ROWS
@@ -65,7 +65,7 @@ def test_the_corpus_is_up_to_date(name, tmp_path):
 
 @pytest.mark.parametrize("name", corpus.LAYOUTS)
 def test_every_guess_can_be_saved(name, tmp_path):
-    """A saved record reads the file in the same way, without guesses."""
+    """With a saved record, the file is read in the same way, but without guesses."""
     from fluxobs.logs import read_log
     from fluxobs.logs.meaning.record_files import write_record
 

@@ -1,4 +1,4 @@
-"""Formats: paths of channels, batches, and messages on broken files and missing libraries."""
+"""Formats: paths of channels, batches, and messages about broken files or missing libraries."""
 
 import importlib
 import json
@@ -75,7 +75,7 @@ def write(path):
 
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_batches_are_the_signals_wherever_they_are_cut(tmp_path, ending, monkeypatch):
-    if ending == ".mf4":  # a small file has one block: split it like a large one
+    if ending == ".mf4":  # a small file has one block: split this block like a large block
         monkeypatch.setattr("fluxobs.logs.formats.mdf.BLOCK", 1000)
     if ".csv" in ending:
         source = importlib.import_module("fluxobs.logs.formats.text.source")
@@ -182,7 +182,7 @@ def test_sheets_with_times_of_their_own(tmp_path):
 
 
 def test_sheets_without_a_table(tmp_path):
-    """Empty sheets, which Excel adds, and sheets with only a title are skipped."""
+    """Excel adds empty sheets; these sheets, and sheets with only a title, are skipped."""
     pytest.importorskip("fastexcel")
     from xlsxwriter import Workbook
 

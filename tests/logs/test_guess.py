@@ -1,4 +1,4 @@
-"""Guesses from values, units and names of columns, at their limits."""
+"""Guesses from values, units and names of columns, tested at the limits of each guess."""
 
 import math
 
@@ -61,12 +61,12 @@ def test_the_unit_of_a_duty(low, high, unit):
     ("size", "unit"), [(0.91, "deg"), (0.89, None), (1.09, "deg"), (1.3, None)]
 )
 def test_a_wrap_may_miss_a_turn_by_a_tenth(size, unit):
-    """For an angle that turns slowly."""
+    """This limit applies to an angle that turns slowly."""
     assert turn_of(np.mod(K * 3.0, 360.0 * size)) == unit
 
 
 def test_a_wrap_may_miss_a_turn_by_three_steps():
-    """Of an angle that turns quickly: here by 56° of 70° in a sample."""
+    """This limit applies to an angle that turns quickly, here by 70° in a sample."""
     assert turn_of(np.array([0.0, 70.0, 140.0, 210.0, 280.0, 350.0, 60.0])) == "deg"
     assert turn_of(np.array([350.0, 70.0])) is None
 
@@ -74,7 +74,7 @@ def test_a_wrap_may_miss_a_turn_by_three_steps():
 @pytest.mark.parametrize("pairs", [1.0, 1.45, 1.55, 4.0])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_an_angle_is_mechanical_if_the_current_turns_faster(pairs, direction):
-    """Faster by at least half; direction and missing values do not matter."""
+    """The current must be 1.5 times as fast; direction and missing values have no effect."""
     angle = np.mod(direction * 0.1 * K / pairs, 2 * np.pi)
     angle[5] = np.nan
     channel = electrical_or_mechanical(angle, Z)
@@ -101,7 +101,7 @@ def test_an_angle_that_says_nothing_is_electrical():
     ],
 )
 def test_a_column_without_a_name_is_time_if_it_rises_evenly(values, time):
-    """It needs at least ten steps."""
+    """Such a column must have at least ten steps."""
     table = {"": values.astype(float)} | {n: v[: len(values)] for n, v in AXES.items()}
     if len(values) < 20:
         with pytest.raises(RecordError, match="rows of data are too few"):
@@ -117,7 +117,7 @@ def test_a_column_without_a_name_is_time_if_it_rises_evenly(values, time):
     ("apart", "frame"), [(0.0, "abc"), (0.1, "abc"), (0.28, None), (-0.1, "abc"), (-0.3, None)]
 )
 def test_columns_with_units_alone_are_phases_by_their_angles(apart, frame):
-    """Cosines may miss -1/2 by 0.2: angles between 107.5° and 134.4°."""
+    """Cosines may differ from -1/2 by 0.2, so angles are between 107.5° and 134.4°."""
     turn = TURN * np.exp(1j * np.array([0, 0, apart]))
     wave = {f"Ch{n} [V]": 10 * (Z * turn[n]).real for n in range(3)}
     wave |= {f"Ch{n + 3} [A]": (Z * TURN[n]).real for n in range(3)}
@@ -146,7 +146,7 @@ def test_axes_are_at_a_right_angle():
 
 @pytest.mark.parametrize(("mean", "taken"), [(1.3, True), (1.5, False)])
 def test_a_column_swings_by_more_than_half_its_mean(mean, taken):
-    """A sine of amplitude one has a standard deviation of 0.707: a mean of 1.41 is the limit."""
+    """A sine of amplitude 1 has a standard deviation of 0.707, so the limit is a mean of 1.41."""
     wave = {"p [V]": Z.real + mean, "q [V]": Z.imag, "r [A]": Z.real, "s [A]": Z.imag}
     if taken:
         assert read_log(T | wave).frame == "alphabeta"
@@ -216,7 +216,7 @@ def test_units(channel, spellings, factor):
         ("t", "ticks:x", "'x' is not a positive number"),
         ("t", "counts:100", "ticks:HZ is for t"),
         ("i_a", "counts:100", "give --adc i_a=BITS,RANGE,ZERO"),
-        ("theta_e", "ticks:100", "counts:FULL_SCALE for angles"),
+        ("theta_e", "ticks:100", "counts:FULL_SCALE is for angles"),
     ],
 )
 def test_units_that_do_not_fit(channel, unit, message):
@@ -304,7 +304,7 @@ def test_setpoints(column, setpoint):
     [
         ([4.0, 5.0], 1e-4, True),
         ([4.0, 5.0, 6.0], 1e-4, True),
-        ([4.0, 5.0, 6.0], None, False),  # without a sample time in the file it may be t
+        ([4.0, 5.0, 6.0], None, False),  # if the file has no sample time, the column may be t
         ([4.0], 1e-4, False),
         ([], 1e-4, False),
         ([4.0, 5.0, 7.0], 1e-4, False),
@@ -329,7 +329,7 @@ def test_parts_of_names():
 
 @pytest.mark.parametrize("given", [None, "abc", "alphabeta"])
 def test_currents_in_a_frame_of_their_own(given):
-    """The frame that the columns fill, or the given one."""
+    """The frame is the given frame, or the frame whose columns exist."""
     voltages = {"u_alpha": 10 * Z.real, "u_beta": 10 * Z.imag}
     currents = {"i_a": CURRENTS["i_a"], "i_b": CURRENTS["i_b"]}
     if given == "alphabeta":
@@ -388,7 +388,7 @@ def test_at_most_forty_columns_are_named_where_nothing_is_found(count, named):
     columns = T | {f"signal {n}": np.sin(K + n) for n in range(count)}
     with pytest.raises(RecordError) as error:
         read_log(columns)
-    listing = str(error.value).partition("among its columns: ")[2].partition(". Name them")[0]
+    listing = str(error.value).partition("among its columns: ")[2].partition(". Name the")[0]
     assert len(listing.split(", ")) == named
 
 

@@ -59,7 +59,7 @@ def test_a_line_without_end(tmp_path, encoding, packed, at):
 
 
 def packed_rows(path, row, megabytes):
-    """Write a compressed log that repeats one row, of so many megabytes unpacked."""
+    """Write a compressed log that repeats one row; unpacked, the log has `megabytes` MB."""
     block = gzip.compress(row * ((1 << 20) // len(row)))
     path.write_bytes(gzip.compress((HEAD + ROWS).encode()) + block * megabytes)
     return path
@@ -77,7 +77,7 @@ def test_short_rows_are_read_in_little_memory(tmp_path):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert rows == table.rows > 7_000_000
-    assert peak < 100 << 20  # as numbers in memory they take 290 MB
+    assert peak < 100 << 20  # all rows as numbers would need 290 MB
 
 
 def test_lines_without_rows_are_not_kept_in_memory(tmp_path):
@@ -87,6 +87,6 @@ def test_lines_without_rows_are_not_kept_in_memory(tmp_path):
     (table,) = open_tables(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 10 << 20  # a number for each of them takes 20 MB
+    assert peak < 10 << 20  # one number per empty line would need 20 MB
     assert table.place(299) == "line 301"
     assert table.place(300) == "line 500302"

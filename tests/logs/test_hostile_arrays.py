@@ -1,4 +1,4 @@
-"""Hostile arrays (HDF5, npz, npy, Parquet, Arrow) must not read other files or fill the memory."""
+"""Hostile HDF5, npz, npy, Parquet and Arrow files must not read other files or fill the memory."""
 
 import io
 import time
@@ -64,7 +64,7 @@ def test_a_dataset_name_that_is_not_utf8(hdf5):
 
 
 def with_chunks(path, chunk, packed=None, rows=None, **options):
-    """Add i_beta to the HDF5 file in chunks of so many rows, the first one with these bytes."""
+    """Add i_beta to the HDF5 file in chunks of `chunk` rows; the first chunk is `packed`."""
     import h5py
 
     with h5py.File(path, "a") as file:
@@ -116,7 +116,7 @@ def test_a_large_chunk_is_unpacked_once(tmp_path):
     (table,) = open_tables(tmp_path / "log.h5")
     before = time.process_time()
     batches = list(table.batches(["x"], 0, rows, 10_000))
-    assert time.process_time() - before < 1  # once for each of 100 batches it is 5
+    assert time.process_time() - before < 1  # unpacking once for each of 100 batches takes 5 s
     np.testing.assert_array_equal(np.concatenate([batch["x"] for batch in batches]), values)
 
 
@@ -160,7 +160,7 @@ def test_an_array_larger_than_memory(tmp_path):
     np.lib.format.write_array_header_1_0(head, fields)
     with zipfile.ZipFile(tmp_path / "log.npz", "w") as archive:
         archive.writestr("t.npy", head.getvalue())
-    refused(tmp_path / "log.npz", "is larger than memory may be")
+    refused(tmp_path / "log.npz", "is too large for memory")
 
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.arrow"])
@@ -186,7 +186,7 @@ def test_a_large_compressed_batch_is_unpacked_once(tmp_path):
     (table,) = open_tables(tmp_path / "log.arrow")
     before = time.process_time()
     batches = list(table.batches(["t", "x"], 0, rows, 10_000))
-    assert time.process_time() - before < 1  # once for each of 100 batches it was 3
+    assert time.process_time() - before < 1  # unpacking once for each of 100 batches took 3 s
     np.testing.assert_array_equal(np.concatenate([batch["x"] for batch in batches]), frame["x"])
 
 

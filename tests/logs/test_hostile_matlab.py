@@ -14,7 +14,7 @@ T = COLUMNS["t"]
 
 
 def nested_cells(depth):
-    """Return nested cells as they are in a MATLAB file."""
+    """Return nested cells in the binary form of a MATLAB file."""
     head = struct.pack("<2I", 6, 8), struct.pack("<6I", 5, 8, 1, 1, 1, 0)
     inner = head[0] + struct.pack("<2I", 6, 0) + head[1] + struct.pack("<2I2d", 9, 8, 1.0, 0)[:16]
     for _ in range(depth):
@@ -35,12 +35,12 @@ def test_deeply_nested_cells_of_matlab(tmp_path, packed):
         with open(tmp_path / name, "ab") as file:
             file.write(element)
     assert len(read_log(tmp_path / "flat.mat")) == len(T)
-    refused(tmp_path / "deep.mat", "nested more than 200 times")
+    refused(tmp_path / "deep.mat", "nested more than 200 levels deep")
 
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_all_kinds_of_nested_arrays_are_followed(tmp_path, packed):
-    """Structs, cells, texts, complex and sparse matrices do not count as too deep."""
+    """A file with structs, cells, texts, complex and sparse matrices is not refused as too deep."""
     matlab = pytest.importorskip("scipy.io")
     sparse = pytest.importorskip("scipy.sparse")
     cells = np.empty((2, 3), dtype=object)
@@ -75,7 +75,7 @@ def packed_array(path, head, content, times=1):
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_a_matlab_object_is_skipped(tmp_path, packed):
-    """Three texts and a numeric array, as MATLAB stores a string or a datetime."""
+    """The object is three texts and a numeric array, like a string or a datetime of MATLAB."""
     matlab = pytest.importorskip("scipy.io")
     matlab.savemat(tmp_path / "log.mat", COLUMNS)
     texts = b"".join(element(1, text) for text in (b"notes", b"MCOS", b"string"))

@@ -24,7 +24,7 @@ def test_counts_beyond_the_contents_of_a_tdms_file(tmp_path):
 
 
 def mdf(path, version="4.10"):
-    """Write an MDF file with the channels; tests find its blocks by their names."""
+    """Write an MDF file with the channels; tests find the file's blocks by their names."""
     asammdf = pytest.importorskip("asammdf")
     with asammdf.MDF(version=version) as file:
         file.append([asammdf.Signal(v, T, name=k) for k, v in COLUMNS.items() if k != "t"])
@@ -57,14 +57,14 @@ def test_rows_beyond_the_contents_of_an_mdf_file(tmp_path):
 
 
 def conversion(*links):
-    """Return an MDF 4 conversion that refers to these blocks, for the value 0 and as default."""
+    """Return an MDF 4 conversion that refers to the blocks `links` for value 0 and as default."""
     body = struct.pack(f"<{4 + len(links)}Q", 0, 0, 0, 0, *links)
     values = struct.pack("<2B3H3d", 7, 0, 0, len(links), 1, 0, 0, 0)
     return struct.pack("<4s4x2Q", b"##CC", 24 + len(body + values), 4 + len(links)) + body + values
 
 
 def with_links(path, content, places):
-    """Replace links of an MDF file: (kind of block, its number, number of link) → address."""
+    """Replace links of an MDF file: `places` is (kind of block, block, link) → address."""
     content = bytearray(content)
     for (kind, number, link), address in places.items():
         at = -1
@@ -75,7 +75,7 @@ def with_links(path, content, places):
 
 
 @pytest.mark.parametrize(
-    ("depth", "message"), [(30, "conversions take more than 256 MB"), (5, None), (0, "circle")]
+    ("depth", "message"), [(30, "conversions need more than 256 MB"), (5, None), (0, "circle")]
 )
 def test_conversions_that_refer_to_others_twice(tmp_path, depth, message):
     path = mdf(tmp_path / "log.mf4")
@@ -102,7 +102,7 @@ def test_a_long_text_that_many_conversions_use(tmp_path):
     block = conversion(*[len(content)] * 1000)
     places = {(b"##CN", 1, 4): len(content + text)}
     with_links(path, content + text + block, places)
-    refused(path, "its texts and conversions take more than 257 MB")
+    refused(path, "its texts and conversions need more than 257 MB")
 
 
 @pytest.mark.parametrize("kind", [b"##CN", b"##CG", b"##DG", b"##FH"])
@@ -116,7 +116,7 @@ def test_blocks_in_a_circle(tmp_path, kind):
 @pytest.mark.parametrize("version", ["4.00", "4.20"])
 @pytest.mark.parametrize("compression", [0, 2])
 def test_all_kinds_of_nested_blocks_are_followed(tmp_path, version, compression):
-    """Texts, conversions to texts, structures and arrays do not count as a circle."""
+    """A file with texts, conversions to texts, structures and arrays is not refused as circular."""
     asammdf = pytest.importorskip("asammdf")
     columns = [
         asammdf.Signal(
@@ -144,7 +144,7 @@ def test_the_values_of_texts_in_a_circle(tmp_path):
     content = path.read_bytes()
     content += bytes(-len(content) % 8)
     block = struct.pack("<4s4x3QB3xIQ", b"##DL", 48, 1, len(content), 1, 0, 0)
-    for channels in (1, 2):  # two channels may share their list
+    for channels in (1, 2):  # two channels may share one list
         places = {(b"##CN", n, 5): len(content) for n in range(channels)}
         with_links(path, content + block, places)
         refused(path, "refer to one another in a circle")
@@ -173,7 +173,7 @@ def test_a_text_that_many_ranges_use_in_an_old_mdf_file(tmp_path):
     head = struct.pack("<2s2H2d20s2H", b"CC", 0xFFFF, 0, 0, 0, b"", 12, count)
     content += head + text * count + struct.pack("<2sH", b"TX", 0xFFFF) + b"x" * 0xFFFB
     path.write_bytes(content)
-    refused(path, "its texts and conversions take more than 257 MB")
+    refused(path, "its texts and conversions need more than 257 MB")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Hostile workbooks: memory and time for their cells are bounded, for every reader."""
+"""Hostile workbooks: every reader limits the memory and the time for the cells."""
 
 import sys
 import zipfile
@@ -41,9 +41,9 @@ def test_a_blank_cell_far_from_the_table_is_left_alone(tmp_path):
 
 
 def edit(path, change_sheet, change_texts=bytes):
-    """Change the first sheet of a workbook, and move it where no sheet is expected.
+    """Change the first sheet of a workbook, and move this sheet to an unusual place in the file.
 
-    Its shared texts may be changed too.
+    `change_texts` may change the shared texts of the workbook.
     """
     with zipfile.ZipFile(path) as book:
         parts = {name: book.read(name) for name in book.namelist()}
@@ -85,7 +85,7 @@ def test_a_long_text_that_many_cells_share(tmp_path):
         lambda texts: texts.replace(b">t<", b">" + b"t" * 1_000_000 + b"<"),
     )
     assert path.stat().st_size < 30_000
-    refused(path, "reading it ended with .* more than 10.. MB of memory")
+    refused(path, "reading the file ended with .* more than 10.. MB of memory")
 
 
 @limited
@@ -94,12 +94,12 @@ def test_cells_far_apart_in_an_old_workbook(tmp_path):
     content = old_workbook(40, [(0, 0, 1.0), (65535, 255, 1.0)])
     (tmp_path / "log.xls").write_bytes(content)
     assert len(content) < 6_000
-    refused(tmp_path / "log.xls", "reading it ended with .* more than 1024 MB of memory")
+    refused(tmp_path / "log.xls", "reading the file ended with .* more than 1024 MB of memory")
 
 
 def test_a_workbook_that_takes_too_long(tmp_path):
     path = workbook(tmp_path / "log.xlsx")
-    with pytest.raises(FluxobsError, match=r"log\.xlsx: reading it took more than 0.01 s"):
+    with pytest.raises(FluxobsError, match=r"log\.xlsx: reading the file took more than 0.01 s"):
         read_apart(read_sheets, path, None, 1 << 30, 0.01)
 
 
@@ -107,7 +107,7 @@ def test_entities_in_a_workbook(tmp_path):
     path = workbook(tmp_path / "log.xlsx")
     head = b'?><!DOCTYPE x [<!ENTITY a "1">]>'
     edit(path, lambda sheet: sheet.replace(b"?>", head, 1))
-    refused(path, "not a readable workbook: a sheet has no document type")
+    refused(path, "not a readable workbook: a sheet must not have a document type")
 
 
 @pytest.mark.parametrize("cells", [(1 << 40, 1), (1, 1 << 40)])
@@ -126,4 +126,4 @@ def test_repeated_cells_of_an_open_document(tmp_path, cells):
 
 def test_a_workbook_that_unpacks_to_far_more_than_its_size(tmp_path):
     path = with_zeros(workbook(tmp_path / "log.xlsx"), "xl/worksheets/sheet2.xml", 8 * 35)
-    refused(path, "it has 2936.* bytes, more than 268435456")
+    refused(path, "the workbook has 2936.* bytes, more than 268435456")

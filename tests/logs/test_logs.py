@@ -1,4 +1,4 @@
-"""Readers, frames and alignment: one record in every layout, and broken files."""
+"""Readers, frames and alignment, tested with one record in every layout and with broken files."""
 
 import numpy as np
 import polars as pl
@@ -425,8 +425,11 @@ def replace_cell(line, column, text):
         (lambda s: s.replace("u_beta", "u_alpha", 1), "line 1: the column 'u_alpha' occurs twice"),
         (replace_cell(42, 3, "off"), "line 42, column 'i_alpha': 'off' is not a number"),
         (replace_cell(199, 1, "1.2.3"), "line 199, column 'u_alpha': '1.2.3' is not a number"),
-        (replace_cell(30, 3, "1,2,3"), "line 30: 8 cells, the header has 6"),
-        (lambda s: s.replace(s.splitlines()[34], "0.033,1,2"), "line 35: 3 cells, the header has"),
+        (replace_cell(30, 3, "1,2,3"), "line 30: 8 cells, but the header has 6"),
+        (
+            lambda s: s.replace(s.splitlines()[34], "0.033,1,2"),
+            "line 35: 3 cells, but the header has",
+        ),
         (replace_cell(50, 0, "0.01"), "line 50: time runs backwards"),
         (replace_cell(60, 0, ""), "line 60: t is missing"),
         (replace_cell(70, 0, "0.0685"), "line 70: samples are not uniform: a step of 0.0015 s"),
@@ -466,7 +469,7 @@ def test_text_in_a_parquet_column(tmp_path):
 
 def test_arrays_of_different_length(tmp_path):
     np.savez(tmp_path / "log.npz", **(PLAIN | {"u_beta": np.zeros(150)}))
-    with pytest.raises(RecordError, match=r"u_beta have 150 rows and no times, where .* 200 rows"):
+    with pytest.raises(RecordError, match=r"u_beta have 150 rows and no times, but .* 200 rows"):
         read_log(tmp_path / "log.npz")
     with pytest.raises(RecordError, match=r"differ in length.*u_beta 3"):
         read_log(PLAIN | {"u_beta": np.zeros(3)})
@@ -540,7 +543,7 @@ def test_unusable_record(arguments, message):
 
 @pytest.mark.parametrize("size", [1, 7, 64, ROWS])
 def test_inverter_losses_in_any_batches(size):
-    """The loss depends on the currents at both ends; the first row is its own predecessor."""
+    """The loss depends on the currents at both ends; the first row uses its own current twice."""
     error = InverterError(0.8, 0.3)
     log = read_log(PLAIN)
     batches = list(log.less_inverter(error).aligned(size=size))

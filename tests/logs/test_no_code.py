@@ -1,4 +1,4 @@
-"""A log is data: reading it runs no code, whatever its format may carry."""
+"""A log is data: reading a log must not run code, even if its format can contain code."""
 
 import os
 import pickle
@@ -29,7 +29,7 @@ class Trap:
 
 @pytest.fixture
 def mark(tmp_path):
-    """Yield the folder of the trap, which works; check that reading a log did not spring it."""
+    """Check that the trap works; yield its folder; check that reading a log did not create it."""
     path = tmp_path / "sprung"
     pickle.loads(pickle.dumps(Trap(path)))
     path.rmdir()
@@ -78,7 +78,7 @@ def test_objects_beside_the_channels_are_left_alone(mark, tmp_path):
 
 
 def test_a_pickle_in_hdf5(mark, tmp_path):
-    """As PyTables and pandas store objects."""
+    """PyTables and pandas store objects in this way."""
     h5py = pytest.importorskip("h5py")
     data = np.void(pickle.dumps(Trap(mark)))
     with h5py.File(tmp_path / "log.h5", "w") as file:
@@ -99,7 +99,7 @@ def test_a_pickle_in_a_matlab_file(mark, tmp_path):
 
 @pytest.mark.parametrize("version", ["3.30", "4.10"])
 def test_code_as_the_formula_of_an_mdf_channel(mark, tmp_path, version):
-    """asammdf evaluates it with numexpr, which refuses code, then with sympy, which runs it."""
+    """asammdf tries numexpr, which refuses code, and then sympy, which runs code."""
     asammdf = pytest.importorskip("asammdf")
     formula = f"__import__('os').mkdir('{mark}')"
     eval(formula)
@@ -121,7 +121,7 @@ def test_code_as_the_formula_of_an_mdf_channel(mark, tmp_path, version):
 @pytest.mark.parametrize("version", ["3.30", "4.10"])
 @pytest.mark.parametrize("hidden", [False, True])
 def test_code_as_the_formula_of_the_time(mark, tmp_path, version, hidden):
-    """asammdf converts the time with the channels of its group, even if not requested."""
+    """asammdf converts the time of a channel group even if the time is not requested."""
     asammdf = pytest.importorskip("asammdf")
     with asammdf.MDF(version=version) as file:
         file.append([asammdf.Signal(v, T, name=k) for k, v in COLUMNS.items()])
@@ -131,7 +131,7 @@ def test_code_as_the_formula_of_the_time(mark, tmp_path, version, hidden):
             from asammdf.blocks.v4_blocks import ChannelConversion
 
             time.conversion = ChannelConversion(conversion_type=3, formula=code)
-            time.data_type = 10 if hidden else time.data_type  # bytes, which are not a column
+            time.data_type = 10 if hidden else time.data_type  # a channel of bytes is not a column
         else:
             from asammdf.blocks.v2_v3_blocks import ChannelConversion
 
@@ -154,7 +154,7 @@ def test_code_as_the_formula_of_an_axis():
 
 
 def test_a_formula_in_a_sheet(mark, tmp_path):
-    """The values of a sheet are read, not its formulas."""
+    """Only the values of a sheet are read, not the formulas."""
     pytest.importorskip("fastexcel")
     xlsxwriter = pytest.importorskip("xlsxwriter")
     with xlsxwriter.Workbook(tmp_path / "log.xlsx") as book:
@@ -167,7 +167,7 @@ def test_a_formula_in_a_sheet(mark, tmp_path):
 
 
 def test_modules_beside_a_workbook(mark, tmp_path, monkeypatch):
-    """A workbook is read in a separate process, which imports nothing from its folder."""
+    """The process that reads a workbook imports nothing from the workbook's folder."""
     pytest.importorskip("fastexcel")
     for name in ("fluxobs", "json", "polars", "fastexcel"):
         (tmp_path / f"{name}.py").write_text(f"import os\nos.mkdir({str(mark)!r})\n")
@@ -234,7 +234,7 @@ def test_a_formula_of_an_mdf_channel_is_computed(tmp_path, version):
 
 
 def test_formulas_are_found_wherever_a_conversion_refers_to_them():
-    """Conversions of asammdf refer to others, or to texts."""
+    """Conversions of asammdf refer to other conversions, or to texts."""
     mdf = pytest.importorskip("fluxobs.logs.formats.mdf")
     inner = SimpleNamespace(formula=b"exit()", referenced_blocks=None)
     outer = SimpleNamespace(formula="", referenced_blocks={"text_0": b"on", "text_1": inner})
@@ -244,5 +244,5 @@ def test_formulas_are_found_wherever_a_conversion_refers_to_them():
     branching = SimpleNamespace(
         formula="", referenced_blocks={"0": leaf_block, "1": outer, "2": outer}
     )
-    assert sorted(mdf._formulas(branching)) == ["2*X", "exit()"]  # also those after a visited one
+    assert sorted(mdf._formulas(branching)) == ["2*X", "exit()"]  # also after a known one
     assert list(mdf._formulas(None)) == []

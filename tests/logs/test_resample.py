@@ -1,4 +1,4 @@
-"""Resampled signals against closed forms and brute force, at their limits."""
+"""Resampled signals at their limits, compared with closed forms and brute force."""
 
 import re
 
@@ -34,7 +34,7 @@ def test_a_cubic_is_reproduced_at_all_times(c):
 
 
 def test_four_samples_around_a_time_are_used():
-    """A missing sample invalidates the two intervals on each side of it, and its own time."""
+    """A missing sample invalidates its own time and the two intervals on each side."""
     values = np.where(np.arange(30) == 10, np.nan, 1.0)
     missing = np.isnan(resample("smooth", S, values, INSIDE, 1.0))
     np.testing.assert_array_equal(missing, (S[8] < INSIDE) & (S[12] > INSIDE))
@@ -86,7 +86,7 @@ def test_a_state_stays_until_the_next_and_a_step_beyond_the_last():
 
 @given(step=st.floats(0.05, 4.0), seed=st.integers(0, 50))
 def test_means_of_a_held_signal(step, seed):
-    """Compare with its overlap with the span of each sample."""
+    """Compare with a sum over samples, weighted by the time that each sample is held."""
     values = np.random.default_rng(seed).normal(size=30)
     t = INSIDE[INSIDE + step < S[-1]]
     ends = np.append(S[1:], 2 * S[-1] - S[-2])
@@ -114,13 +114,15 @@ def test_a_held_mean_is_missing_if_any_share_of_it_is():
 
 
 def test_a_record_serves_observers_of_its_own_sample_time():
-    """Clocks are accurate to one in a thousand."""
+    """Sample times may differ by one in a thousand, because clocks are inaccurate."""
     record = Record(1e-3, np.ones((30, 2)), np.zeros((30, 2)), lag=-1.0)
     voltage, current = record.on_intervals(1.0009e-3)
     np.testing.assert_array_equal(np.isnan(voltage[:, 0]), np.arange(30) < 2)
     assert current is record.current
     for sample_time in (1.0012e-3, 0.9988e-3):
-        with pytest.raises(RecordError, match=f"0.001 s, is not the observer's, {sample_time:g} s"):
+        with pytest.raises(
+            RecordError, match=f"is 0.001 s, but the observer's is {sample_time:g} s"
+        ):
             record.on_intervals(sample_time)
     np.testing.assert_allclose(record.t, 1e-3 * np.arange(30))
 

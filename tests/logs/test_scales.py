@@ -1,4 +1,4 @@
-"""Sizes of signals: known noise and speeds are recovered, from any excerpts."""
+"""Sizes of signals: known noise and speeds are recovered from all excerpts."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def test_noise_is_that_of_one_component_on_a_smooth_signal():
 
 
 def test_third_differences_of_an_alternating_signal():
-    """They have eight times its size, so the level is 8/√20 of it, in blocks of any length."""
+    """Third differences are 8 times the signal: the level is 8/√20 of it for any block length."""
     for rows in (4, 5, 258, 259, 260, 700):
         signal = np.where(np.arange(rows) % 2, -1.0, 1.0)[:, None] * [0.5, 0.5]
         assert white_noise(signal) == pytest.approx(4 / np.sqrt(20))
@@ -42,7 +42,7 @@ def test_third_differences_of_an_alternating_signal():
 
 
 def test_the_usual_block_of_256_rows_counts():
-    """Noise in less than half of the blocks does not move their median."""
+    """Noise in less than half of the blocks does not change the median of the blocks."""
     signal = np.random.default_rng(1).normal(0, 1.0, (5 * 256 + 3, 2))
     signal[2 * 256 :] *= 100
     level_of_three = white_noise(np.concatenate([signal, signal[:256]]))
@@ -59,7 +59,7 @@ def test_a_block_with_a_missing_value_is_left_out():
 
 
 def test_sizes_are_95th_percentiles():
-    """Of lengths 0 … 100 it is 95, likewise of the steps of the angle."""
+    """The 95th percentile of lengths 0 … 100 is 95; steps of the angle are treated alike."""
     length = np.arange(101.0)
     turned = np.cumsum(np.arange(101) * 0.01)
     scales = measured(piece(length * np.exp(1j * turned), 2 * length * np.exp(0.3j)))
@@ -105,7 +105,7 @@ def rows(count):
 @pytest.mark.parametrize("random_access", [True, False])
 @pytest.mark.parametrize("start", [None, 0.1])
 def test_excerpts_are_spread_evenly(monkeypatch, random_access, start):
-    """For a long log, with and without random access."""
+    """The log is long; its table has random access or not."""
     monkeypatch.setattr(scales, "EXCERPTS", 4)
     monkeypatch.setattr(scales, "EXCERPT_ROWS", 10)
     log = read_log(rows(1000), start=start)

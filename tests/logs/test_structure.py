@@ -1,4 +1,4 @@
-"""Headers of text files and nested data, by hand: names, units and sample times."""
+"""Headers of text files and nested data, written by hand: names, units and sample times."""
 
 from pathlib import Path
 
@@ -55,7 +55,7 @@ def test_units_of_a_third_of_the_columns_are_not_a_row_of_units():
     ],
 )
 def test_names_with_a_key_in_front(row, names, units):
-    """The key is above an empty cell, or above the time of all columns."""
+    """The key is above an empty cell, or above the common time column."""
     result = structure_of("TraceName,u,i\nYUnitLabel,V,A\nHOffset,0,0", row)
     assert result.names == names
     assert result.said.units == units
@@ -149,7 +149,7 @@ def test_rows_that_are_alike(kinds, usual, alike):
     [("nnt", "nnn", True), ("ntt", "nnn", False), ("nt", "nn", False), ("tnn", "nnn", False)],
 )
 def test_a_row_with_a_mistake(kinds, usual, mistake):
-    """More than half of its cells are numbers, and the first is as usual."""
+    """More than half of the row's cells are numbers, and the first cell is of the usual kind."""
     assert structure._with_a_mistake(kinds, usual) == mistake
 
 

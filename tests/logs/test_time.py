@@ -1,4 +1,4 @@
-"""Time of a log: units, rounding, wraps, gaps and jitter; files joined by their times."""
+"""Time of a log: units, rounding, wraps, gaps and jitter; files that are joined by time."""
 
 import numpy as np
 import polars as pl
@@ -14,7 +14,7 @@ SPEED = 300.0
 
 
 def signals(t):
-    """Return smooth voltages, means over the next interval, and currents at times t [s]."""
+    """Return (voltages, currents) at times t [s]; voltages are means over the next interval."""
     phase = SPEED * t + 3 * np.sin(20 * t)
     i = (4 + np.sin(11 * t)) * np.exp(1j * phase)
     u = (10 + 2 * np.cos(9 * t)) * np.exp(1j * (phase + 1))
@@ -170,7 +170,7 @@ def test_a_rate_that_changes_is_refused(factor):
 
 
 def test_the_longest_gap_is_named_with_its_place():
-    """Not the gap after the longest segment."""
+    """The longest gap is not the gap after the longest segment."""
     keep = np.ones(ROWS, bool)
     keep[1000:1090], keep[3500:3507] = False, False
     log = read_log({name: values[keep] for name, values in columns(T).items()})
@@ -213,7 +213,7 @@ def test_a_pause_of_an_hour_is_shortened_and_its_time_kept():
 
 
 def held_means(edges, values, t):
-    """Return means over [t, t + H] of values held from edge to edge, by brute force."""
+    """Compute, by brute force, means over [t, t + H] of values that are held between edges."""
     means = []
     for start in t:
         fine = start + (np.arange(2000) + 0.5) / 2000 * H
@@ -267,7 +267,7 @@ def test_resampling_by_hand():
     s = np.array([0.0, 1.0, 2.0, 4.0, 5.0])
     values = np.array([1.0, 3.0, 5.0, 9.0, 11.0])
     np.testing.assert_allclose(resample("smooth", s, values, np.array([0.5, 3.0]), 1.0), [2, 7])
-    # held: 1 until 1, 3 until 2, 5 until 4
+    # The held signal is 1 until time 1, 3 until time 2, and 5 until time 4.
     resampled = resample("held", s, values, np.array([0.5, 1.5, 3.5]), 1.0)
     np.testing.assert_allclose(resampled, [2.0, 4.0, 7.0])
     angle = np.mod(0.9 * s + 5.9, 2 * np.pi)
@@ -281,12 +281,14 @@ def test_resampling_by_hand():
 
 
 def write_two_files(tmp_path, shift=0.0, rate=1, start=0.0, with_common_column=False):
-    """Write currents to one file and voltages to another, with a different clock."""
+    """Write currents to one file, and voltages to a second file with a different clock."""
     t = T + start
     i = signals(t)[1]
     pl.DataFrame({"t": t, "i_alpha": i.real, "i_beta": i.imag}).write_csv(tmp_path / "i.csv")
     fine = np.arange(-500 * rate, (ROWS + 500) * rate) * H / rate + start
-    at = np.floor((fine - start + 1e-9) / H) * H + start  # held over a sample of the first file
+    at = (
+        np.floor((fine - start + 1e-9) / H) * H + start
+    )  # voltages are held over a sample of the first file
     other = {"t": fine + shift, "u_alpha": signals(at)[0].real, "u_beta": signals(at)[0].imag}
     if with_common_column:
         other["i_alpha"] = signals(fine)[1].real
@@ -356,7 +358,7 @@ def test_aligned_by_a_column_that_both_have(tmp_path, shift):
     )
     assert any("correlation" in note and "i_alpha of both files" in note for note in log.notes)
     _, _, u = rows_of(log)
-    # within a hundredth of a sample
+    # The voltages agree to within a hundredth of a sample.
     np.testing.assert_allclose(u[10:, 0], signals(T)[0].real[9:-1], atol=0.02 * 12 * SPEED * H)
 
 
@@ -376,7 +378,7 @@ def test_different_clocks_are_noted(tmp_path, shift, noted):
 
 
 def test_one_channel_a_file(tmp_path):
-    """As LeCroy writes them: "Time,Ampl" below a preamble, with the channel as file name."""
+    """LeCroy writes such files: "Time,Ampl" below a preamble, and the channel as file name."""
     u, i = signals(T)
     columns = {"Ia": i.real, "Ib": (i * np.exp(-2j * np.pi / 3)).real}
     for n, name in enumerate(("Ua", "Ub", "Uc")):
@@ -394,7 +396,7 @@ def test_one_channel_a_file(tmp_path):
 
 
 def test_old_tektronix_files_with_the_preamble_beside(tmp_path):
-    """One channel per file, as TDS2000B: the preamble is left of the data."""
+    """A TDS2000B writes one channel per file; the preamble is to the left of the data."""
     u, i = signals(T)
     columns = {"CH1": (i.real, "A"), "CH2": ((i * np.exp(-2j * np.pi / 3)).real, "A")}
     phases = [(u * np.exp(-2j * np.pi / 3 * n)).real for n in range(3)]
@@ -416,7 +418,7 @@ def test_old_tektronix_files_with_the_preamble_beside(tmp_path):
 
 
 def test_samples_lost_here_and_there_with_a_sample_time_that_is_given():
-    """Single losses look like rounded stamps: the sample time decides."""
+    """Single lost samples look like rounded stamps: only the sample time distinguishes them."""
     present = np.random.default_rng(1).random(ROWS) > 0.03
     present[:100] = True
     log = read_log({name: values[present] for name, values in columns(T).items()}, sample_time=H)

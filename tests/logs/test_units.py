@@ -1,4 +1,4 @@
-"""Units from values, just within and just beyond their limits."""
+"""Units guessed from values just within and just beyond the limits of each guess."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from fluxobs.logs.meaning.guess import TURNS, turn_of
 @pytest.mark.parametrize(("turn", "unit"), TURNS.items())
 @pytest.mark.parametrize("share", [0.01, 0.09, 0.15, 0.19])
 def test_an_angle_wraps_at_its_turn(turn, unit, share):
-    """At any speed below a fifth of a turn per sample."""
+    """Wraps are found at any speed below a fifth of a turn per sample."""
     assert turn_of(np.mod(share * turn * np.arange(200), turn)) == unit
 
 

@@ -27,7 +27,7 @@ Array = np.ndarray
 
 
 def run() -> dict[str, Array]:
-    """Return the true signals in SI: t, αβ and phase vectors, dq, angle."""
+    """Return the true signals in SI: time, vectors in αβ, phases and dq, and angle."""
     machine = rotating(example(MACHINE))
     substeps = 16
     fine = np.arange(ROWS * substeps + 1) * SAMPLE_TIME / substeps
@@ -35,7 +35,7 @@ def run() -> dict[str, Array]:
     i_q = 4.0 + 2.0 * np.sin(2 * np.pi * fine / 0.04)
     truth = driven(machine, SAMPLE_TIME, speed, 1j * i_q, substeps, theta0=0.8)
     theta, u, i = truth.theta_e[:-1], truth.voltage, truth.current[:-1]
-    u = u + (0.10 - 0.06j)  # offsets, which make the flux drift
+    u = u + (0.10 - 0.06j)  # these offsets make the flux drift
     i = i + (0.08 + 0.05j)
     signals = {"t": np.arange(ROWS) * SAMPLE_TIME, "theta_e": np.mod(theta, 2 * np.pi)}
     signals |= {"u_alpha": u.real, "u_beta": u.imag, "i_alpha": i.real, "i_beta": i.imag}
@@ -48,13 +48,15 @@ def run() -> dict[str, Array]:
     dq, idq = u * np.exp(-1j * middle_angle), i * np.exp(-1j * theta)
     signals |= {"u_d": dq.real, "u_q": dq.imag, "i_d": idq.real, "i_q": idq.imag}
     signals["theta_m"] = np.mod(theta / machine.n_p, 2 * np.pi)
-    # as a controller logs it: the voltage acts one row later, turned by the angle at that time
+    # A controller logs the voltage one row before it acts, in rotor coordinates of that later time.
     later = np.concatenate([u[1:], u[-1:]])
     later_angle = np.concatenate([middle_angle[1:], middle_angle[-1:]])
     signals |= {"later_alpha": later.real, "later_beta": later.imag}
     signals |= {"later_d": (later * np.exp(-1j * later_angle)).real}
     signals |= {"later_q": (later * np.exp(-1j * later_angle)).imag}
-    earlier = np.concatenate([u[:1], u[:-1]])  # voltage of the interval that ends at the row
+    earlier = np.concatenate(
+        [u[:1], u[:-1]]
+    )  # the voltage acts over the interval that ends at its row
     signals |= {"before_alpha": earlier.real, "before_beta": earlier.imag}
     for n, phase in enumerate("abc"):
         signals[f"before_{phase}"] = (earlier * np.exp(-2j * np.pi / 3 * n)).real
@@ -99,7 +101,7 @@ def plain_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def german_excel_csv(r: dict[str, Array], path: Path) -> None:
-    """Excel in a German locale: semicolons, decimal commas; units in the names."""
+    """Excel in a German locale: semicolons, decimal commas, and units in the names."""
     columns = [1e3 * r["t"], *pick(r, "u_a u_b u_c"), *(1e3 * r[n] for n in ("i_a", "i_b"))]
     columns.append(np.degrees(r["theta_m"]))
     names = "Zeit [ms];Ua [V];Ub [V];Uc [V];Ia [mA];Ib [mA];Geber [Grad]"
@@ -107,7 +109,7 @@ def german_excel_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def rigol_ds1000z_csv(r: dict[str, Array], path: Path) -> None:
-    """Rigol DS1000Z: start and increment in the row of units, trailing commas on rows of data.
+    """Rigol DS1000Z: start and increment in the row of units, and commas at the ends of data rows.
     scottprahl/RigolWFM, tests/files/wfm/DS1054Z-A.csv."""
     rows = ["X,CH1,CH2,CH3,CH4,Start,Increment,"]
     rows += [f"Sequence,Ampere,Ampere,Volt,Volt,{-0.012:.6e},{SAMPLE_TIME:.6e}"]
@@ -116,7 +118,7 @@ def rigol_ds1000z_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def rigol_ds1000e_csv(r: dict[str, Array], path: Path) -> None:
-    """Rigol DS1000E: time in single precision, trailing commas on every row.
+    """Rigol DS1000E: time in single precision, and commas at the ends of all rows.
     scottprahl/RigolWFM, tests/files/wfm/DS1102E-D.csv."""
     t = (r["t"] - 0.06).astype(np.float32)
     rows = ["X,CH1,CH2,CH3,CH4,", "Second,Ampere,Ampere,Volt,Volt,"]
@@ -124,14 +126,14 @@ def rigol_ds1000e_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def rigol_dho_csv(r: dict[str, Array], path: Path) -> None:
-    """Rigol MSO5000, DHO: units in the names, times in cells of the header.
-    A parser's test writer (rigol_fastrec)."""
+    """Rigol MSO5000 and DHO: units in the names, and times in cells of the header.
+    Source: the test writer of a parser, rigol_fastrec."""
     head = f"CH1A,CH2A,CH3V,CH4V,t0 ={-0.012:.6e}, tInc = {SAMPLE_TIME:.6e},"
     text(path, [head, *lines(pick(r, SCOPE), form="{:+.6e}", tail=",,")], "\r\n")
 
 
 def keysight_infiniivision_csv(r: dict[str, Array], path: Path) -> None:
-    """Keysight InfiniiVision: numbers for names, engineering exponents.
+    """Keysight InfiniiVision: numbers instead of names, and engineering exponents.
     w0nder1ng/avr-power-trace, data/scope_0.csv."""
 
     def engineering(value: float) -> str:
@@ -145,7 +147,7 @@ def keysight_infiniivision_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def picoscope_csv(r: dict[str, Array], path: Path) -> None:
-    """PicoScope 6: units in brackets below the names, then a blank line; ∞ beyond the range.
+    """PicoScope 6: units in brackets below the names, then a blank line; ∞ if out of range.
     Manual of PicoScope 6, text formats."""
     rows = ["Time,Channel A,Channel B,Channel C,Channel D", "(ms),(A),(A),(V),(V)", ""]
     data = lines([1e3 * r["t"] - 60, *pick(r, SCOPE)], form="{:.8f}")
@@ -160,13 +162,13 @@ def picoscope_comma_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def saleae_csv(r: dict[str, Array], path: Path) -> None:
-    """Saleae Logic 2, analog export with the user's names. danielp96/WP4-code, analog.csv."""
+    """Saleae Logic 2: analog export with the user's names. danielp96/WP4-code, analog.csv."""
     rows = ["Time [s],Ia,Ib,Uab,Ubc"]
     text(path, [*rows, *lines([r["t"], *pick(r, SCOPE)], form="{:.9f}")])
 
 
 def tektronix_mso_csv(r: dict[str, Array], path: Path) -> None:
-    """Tektronix MSO/DPO3000: preamble, labels of the user, rounded time.
+    """Tektronix MSO/DPO3000: preamble, labels of the user, and rounded time.
     FractionalIntuition/BEE331_Lab_4, tek0000.csv."""
     rows = ["Model,MSO3014", "Firmware Version,2.40", "", "Waveform Type,ANALOG,"]
     rows += ["Point Format,Y,", "Horizontal Units,s,", "Horizontal Scale,0.02,"]
@@ -180,7 +182,7 @@ def tektronix_mso_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def siglent_csv(r: dict[str, Array], path: Path) -> None:
-    """Siglent SDS1000X-E: a preamble with the channels' names in its values.
+    """Siglent SDS1000X-E: a preamble whose values contain the names of channels.
     evanmoring/siglent_utils, SDS00001.csv."""
     rows = [f"Record Length,Analog:{ROWS}", f"Sample Interval,CH1:{SAMPLE_TIME:.13f}"]
     rows += ["Vertical Units,CH1:A,CH2:A,CH3:V,CH4:V", "Vertical Scale,CH1:5.00,,,"]
@@ -198,7 +200,7 @@ def rohde_schwarz_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def yokogawa_csv(r: dict[str, Array], path: Path) -> None:
-    """Yokogawa DL, SL: quoted keys, a value below each trace's name, no time.
+    """Yokogawa DL and SL: quoted keys, a value below the name of each trace, and no time.
     Manual IM DLM3054-01EN, appendix 3."""
     rows = ['"Header Size",11', '"Model Name","DLM3054"', '"Comment",""', '"BlockNumber",1']
     rows += ['"TraceName","Ia","Ib","Uab","Ubc"', f'"BlockSize",{",".join([str(ROWS)] * 4)}']
@@ -209,7 +211,7 @@ def yokogawa_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def hioki_txt(r: dict[str, Array], path: Path) -> None:
-    """Hioki Memory HiCorder: units above the names, a key in front of both, then "DATA".
+    """Hioki Memory HiCorder: a row of units, a row of names, each after a key, and then "DATA".
     Manual of the 8841."""
     rows = ['"COMMENT","drive"', '"DATE","01-01-2026"', '"TIME","10:10:00"', '"NUM_SIGS", 5']
     rows += [f'"INTERVAL", {SAMPLE_TIME:.3E}', '"HORZ_UNITS", "S"']
@@ -219,7 +221,7 @@ def hioki_txt(r: dict[str, Array], path: Path) -> None:
 
 
 def labview_lvm(r: dict[str, Array], path: Path) -> None:
-    """LabVIEW measurement file without a time column, decimal commas.
+    """LabVIEW measurement file with decimal commas, without a time column.
     ladisk/lvm_read, data/short.lvm."""
     rows = ["LabVIEW Measurement\t", "Writer_Version\t2", "Reader_Version\t2", "Separator\tTab"]
     rows += ["Decimal_Separator\t,", "Multi_Headings\tYes", "X_Columns\tNo"]
@@ -235,7 +237,8 @@ def labview_lvm(r: dict[str, Array], path: Path) -> None:
 
 
 def labview_times_lvm(r: dict[str, Array], path: Path) -> None:
-    """LabVIEW measurement file, one time column per channel. ladisk/lvm_read, multi_time_column."""
+    """LabVIEW measurement file with one time column per channel. ladisk/lvm_read,
+    multi_time_column."""
     rows = ["LabVIEW Measurement\t", "Writer_Version\t2", "Reader_Version\t2", "Separator\tTab"]
     rows += ["Decimal_Separator\t.", "Multi_Headings\tNo", "X_Columns\tMulti"]
     rows += ["***End_of_Header***\t", "\t", "Channels\t4\t\t\t\t\t\t", f"Samples\t{ROWS}\t\t{ROWS}"]
@@ -246,7 +249,7 @@ def labview_times_lvm(r: dict[str, Array], path: Path) -> None:
 
 
 def twincat_csv(r: dict[str, Array], path: Path) -> None:
-    """Beckhoff TwinCAT Scope: a block of keys for all columns, time in ms under "Name".
+    """Beckhoff TwinCAT Scope: a block of keys for all columns, and time in ms below "Name".
     CagtayFabry/pytcs, tests/data/tc3_scope_3_4_3145_3.csv."""
     names = ["ia", "ib", "ua", "ub", "uc"]
     rows = ["Name\tdrive", "File\tdrive.csv"]
@@ -276,13 +279,13 @@ def twin_builder_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def plecs_csv(r: dict[str, Array], path: Path) -> None:
-    """PLECS scope export: names as in the scope. Plexim documentation, scope."""
+    """PLECS scope export with the names of the scope. Plexim documentation, scope."""
     rows = ["Time / s,ia / A,ib / A,ic / A,ua / V,ub / V,uc / V"]
     text(path, [*rows, *lines(pick(r, "t i_a i_b i_c u_a u_b u_c"))])
 
 
 def pyx2cscope_csv(r: dict[str, Array], path: Path) -> None:
-    """Microchip pyX2Cscope: semicolon and blank, no end of the last line.
+    """Microchip pyX2Cscope: semicolon and blank between cells; the last line is not ended.
     X2Cscope/pyx2cscope, gui/web/views/scope_view.py."""
     rows = ["time (ms); Ialpha; Ibeta; Ualpha; Ubeta"]
     columns = [1e3 * r["t"], *pick(r, "i_alpha i_beta u_alpha u_beta")]
@@ -290,7 +293,7 @@ def pyx2cscope_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def dewesoft_txt(r: dict[str, Array], path: Path) -> None:
-    """Dewesoft X text export: names with units, tabs."""
+    """Dewesoft X text export: names with units, and tabs between cells."""
     rows = ["Data header", "File name:\tdrive.dxd", "Sample rate:\t5000 Hz", ""]
     rows += ["Time (s)\tUa (V)\tUb (V)\tUc (V)\tIa (A)\tIb (A)\tIc (A)"]
     text(path, [*rows, *lines(pick(r, "t u_a u_b u_c i_a i_b i_c"), "\t")], "\r\n")
@@ -304,7 +307,7 @@ def unicode_text_txt(r: dict[str, Array], path: Path) -> None:
 
 
 def fixed_width_dat(r: dict[str, Array], path: Path) -> None:
-    """Fortran-like columns with a % header, as Octave and simulators write them."""
+    """Columns of fixed width with a % header, as in files of Octave and simulators."""
     rows = ["% simulation of a drive", "%  t           ua        ub        uc       ia       ib"]
     data = lines(pick(r, "t u_a u_b u_c i_a i_b"), "", "{:14.6e}")
     text(path, [*rows, *data])
@@ -326,7 +329,7 @@ def data_logger_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def inverter_trace_csv(r: dict[str, Array], path: Path) -> None:
-    """A drive's trace: duty cycles in percent, DC link, encoder; last line cut off."""
+    """A drive's trace: duty cycles in percent, DC link, encoder; the last line is cut off."""
     rows = ["sample_us,dutyA [%],dutyB [%],dutyC [%],Vdc [V],Ia [A],Ib [A],encoder [deg]"]
     duties = [100 * x for x in pick(r, "d_a d_b d_c")]
     columns = [1e6 * r["t"], *duties, np.full(ROWS, 48.0), *pick(r, "i_a i_b")]
@@ -346,7 +349,7 @@ def controller_trace_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def vesc_sampled_csv(r: dict[str, Array], path: Path) -> None:
-    """VESC Tool, sampled data. vedderb/vesc_tool, pages/pagesampleddata.cpp."""
+    """Sampled data of VESC Tool. vedderb/vesc_tool, pages/pagesampleddata.cpp."""
     rows = ["T;I1;I2;I3;V1;V2;V3;I_tot;V_zero;Phase"]
     phase = np.round(np.degrees(r["theta_e"]) / 1.44) * 1.44
     columns = [*pick(r, "t i_a i_b i_c u_a u_b u_c"), np.hypot(r["i_alpha"], r["i_beta"])]
@@ -363,7 +366,7 @@ def mesc_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def moteus_npz(r: dict[str, Array], path: Path) -> None:
-    """moteus' debug stream, decoded, but at another rate than the usual 30 kHz."""
+    """Decoded debug stream of moteus, at a rate other than the usual 30 kHz."""
     names = {"servo_control.d_V": "later_d", "servo_control.q_V": "later_q"}
     names |= {"servo_stats.d_A": "i_d", "servo_stats.q_A": "i_q"}
     names |= {"servo_stats.electrical_theta": "theta_e"}
@@ -371,7 +374,7 @@ def moteus_npz(r: dict[str, Array], path: Path) -> None:
 
 
 def odrive_csv(r: dict[str, Array], path: Path) -> None:
-    """Properties of ODrive, captured together."""
+    """Properties of ODrive that were captured together."""
     prefix = "axis0.motor.current_control."
     names = ["final_v_alpha", "final_v_beta", "Ialpha_measured", "Ibeta_measured"]
     rows = [",".join(["time", *(prefix + name for name in names)])]
@@ -379,14 +382,14 @@ def odrive_csv(r: dict[str, Array], path: Path) -> None:
 
 
 def motulator_npz(r: dict[str, Array], path: Path) -> None:
-    """motulator's discrete results, saved as in its preset."""
+    """Discrete results of motulator, saved as its preset describes."""
     names = {"u_alpha": "before_alpha", "u_beta": "before_beta", "i_alpha": "i_alpha"}
     names |= {"i_beta": "i_beta", "t": "t", "theta_m": "theta_e"}
     np.savez(path, **{name: r[signal] for name, signal in names.items()})
 
 
 def gym_electric_motor_csv(r: dict[str, Array], path: Path) -> None:
-    """gym-electric-motor's states times its limits, with a time column."""
+    """States of gym-electric-motor, multiplied by their limits, with a time column."""
     names = "t,omega,torque,i_a,i_b,i_c,u_a,u_b,u_c,epsilon"
     epsilon = np.angle(np.exp(1j * r["theta_e"]))
     columns = [r["t"], np.full(ROWS, 100.0), np.zeros(ROWS), *pick(r, "i_a i_b i_c")]
@@ -414,7 +417,7 @@ def npy(r: dict[str, Array], path: Path) -> None:
 
 
 def parquet(r: dict[str, Array], path: Path) -> None:
-    """Parquet with a stamp of nanoseconds, as pandas writes a DatetimeIndex."""
+    """Parquet with time stamps in nanoseconds, as pandas writes a DatetimeIndex."""
     stamps = np.round(1e9 * r["t"]).astype("int64") + 1_795_000_000_000_000_000
     frame = pl.DataFrame({"time": pl.Series(stamps).cast(pl.Datetime("ns"))})
     names = {"Ua": "u_a", "Ub": "u_b", "Uc": "u_c", "Ia": "i_a", "Ib": "i_b"}
@@ -431,7 +434,7 @@ def feather(r: dict[str, Array], path: Path) -> None:
 
 
 def matlab_mat(r: dict[str, Array], path: Path) -> None:
-    """MATLAB version 5: a struct of column vectors."""
+    """MATLAB version 5 with a struct of column vectors."""
     from scipy.io import savemat
 
     names = "t u_alpha u_beta i_alpha i_beta theta_e"
@@ -439,7 +442,7 @@ def matlab_mat(r: dict[str, Array], path: Path) -> None:
 
 
 def simulink_mat(r: dict[str, Array], path: Path) -> None:
-    """Simulink "structure with time": time, and signals with labels."""
+    """Simulink "structure with time": time and labelled signals."""
     from scipy.io import savemat
 
     signals = np.array(
@@ -458,7 +461,7 @@ def dspace_mat(r: dict[str, Array], path: Path) -> None:
 
 
 def matlab_v73_mat(r: dict[str, Array], path: Path) -> None:
-    """MATLAB version 7.3: HDF5 behind 512 bytes, vectors as (1, N)."""
+    """MATLAB version 7.3: HDF5 after the first 512 bytes; vectors have shape (1, N)."""
     import h5py
 
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -471,7 +474,7 @@ def matlab_v73_mat(r: dict[str, Array], path: Path) -> None:
 
 
 def hdf5_h5(r: dict[str, Array], path: Path) -> None:
-    """HDF5 with groups of different rates: voltages at twice the current rate."""
+    """HDF5 with groups of different rates: the voltages have twice the rate of the currents."""
     import h5py
 
     with h5py.File(path, "w") as file:
@@ -500,7 +503,7 @@ def mdf_mf4(r: dict[str, Array], path: Path) -> None:
 
 
 def labview_tdms(r: dict[str, Array], path: Path) -> None:
-    """TDMS with waveform properties: no time channel, units as properties."""
+    """TDMS with waveform properties instead of a time channel, and with units as properties."""
     from nptdms import ChannelObject, TdmsWriter
 
     units = {"Ua": ("u_a", "V"), "Ub": ("u_b", "V"), "Uc": ("u_c", "V")}
@@ -562,7 +565,7 @@ def npz(r: dict[str, Array], path: Path) -> None:
     np.savez(path, **{n: r[n] for n in ["t", "u_a", "u_b", "u_c", "i_a", "i_b", "i_c"]})
 
 
-#: Layouts whose names do not end with the ending of their file.
+#: Layouts whose function names do not end with the ending of the file.
 _ENDINGS = {"csv_gz": "log.csv.gz"}
 
 LAYOUTS: dict[str, Callable[[dict[str, Array], Path], None]] = {}

@@ -15,18 +15,18 @@ from .segments import without_spikes
 
 #: Number of rows to check, from the middle of the log.
 ROWS = 20_000
-#: Two columns are the same if they differ by less than this share of their largest value.
+#: Two columns hold the same signal if they differ by less than this share of their largest value.
 SAME = 1e-9
-#: Phase currents do not belong together if their sum exceeds this share of them (rms).
+#: Phase currents do not belong together if the rms of their sum exceeds this share of their rms.
 SUM = 0.3
 #: Integers are raw counts if their mean exceeds this many standard deviations.
 RAW_OFFSET = 3.0
-#: Report spikes from this number on; fewer may be real events.
+#: Report spikes if there are at least this many; fewer spikes may be real events.
 SPIKES = 3
 
 
 def check_columns(log: Log) -> list[Finding]:
-    """Return the findings on the columns of a log; empty if all columns look right."""
+    """Return the findings on the columns of a log: none if all columns look right."""
     first = max(log.first, (log.first + log.last - ROWS) // 2)
     batches = list(log.channels(first, min(first + ROWS, log.last)))
     channels = {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
@@ -98,15 +98,15 @@ def _check_sum(signals: dict[str, Array]) -> list[Finding]:
     for n, name in enumerate(PHASE_CURRENTS):
         if relative_sum(phases * np.where(np.arange(3) == n, -1.0, 1.0)[:, None]) < SUM:
             message = (
-                f"{name} has the opposite sign (--scale {name}=-1): with it reversed, the sum is "
-                f"zero"
+                f"{name} has the opposite sign (--scale {name}=-1): with the sign reversed, the "
+                f"sum is zero"
             )
             return [Finding("columns", message, False)]
     return [
         Finding(
             "columns",
-            f"i_a + i_b + i_c is not zero but {share:.0%} of a phase current: is one of them "
-            f"the wrong column, or of the opposite sign?",
+            f"i_a + i_b + i_c is not zero but {share:.0%} of a phase current: does one of these "
+            f"currents have the wrong column or the wrong sign?",
             False,
         )
     ]
@@ -126,8 +126,8 @@ def _check_duties(signals: dict[str, Array]) -> list[Finding]:
     return [
         Finding(
             "columns",
-            f"a duty reaches {largest:g}, but must be a share of the DC link, 0 to 1: are these "
-            f"counts or percent? If the full scale is {full:g}: "
+            f"a duty reaches {largest:g}, but duties must be shares of the DC link (0 to 1): are "
+            f"the values counts or percent? If the full scale is {full:g}, give "
             + " ".join(f"--scale d_{phase}={1 / full:.6g}" for phase in "abc"),
             False,
         )
@@ -147,8 +147,9 @@ def _find_counts(signals: dict[str, Array]) -> list[Finding]:
     return [
         Finding(
             "columns",
-            f"whole numbers with a large mean ({zero}): are these raw converter counts? Give --adc "
-            f"CHANNEL=BITS,RANGE,ZERO, for example i=12,100,2048 for 12 bits that span 100 A",
+            f"the values are whole numbers with a large mean ({zero}): are they raw converter "
+            f"counts? Then give --adc CHANNEL=BITS,RANGE,ZERO, for example i=12,100,2048 for 12 "
+            f"bits that span 100 A",
             False,
         )
     ]
@@ -189,8 +190,8 @@ def _find_spikes(signals: dict[str, Array]) -> list[Finding]:
     return [
         Finding(
             "spikes",
-            f"single rows far from their neighbours ({where}, in {count} rows): the observer "
-            f"ignores such outliers, but remove their cause",
+            f"single rows are far from their neighbours ({where}, in {count} rows): the observer "
+            f"ignores these outliers, but their cause should be removed",
             False,
         )
     ]

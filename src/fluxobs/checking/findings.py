@@ -26,13 +26,13 @@ class Finding:
     Attributes
     ----------
     kind, words : str
-        The kind, and the finding as text.
+        The kind of mistake, and the finding as text.
     as_given : bool
-        Whether the given value fits best, or equally well.
+        Whether the given value fits best, or as well as another value.
     others : tuple of str
         Alternatives that fit this log equally well.
     sure : str
-        How clear the finding is, if known.
+        How certain the finding is, if known.
     """
 
     kind: str
@@ -43,7 +43,7 @@ class Finding:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """The fields as JSON can hold them."""
+        """The fields, in types that JSON can hold."""
         return {
             "kind": self.kind,
             "words": self.words,
@@ -67,12 +67,12 @@ class Check:
     ----------
     findings : tuple of Finding
     residual_given, residual : float or None
-        Rms residual of the machine's relation as a share of the flux: as given, and with the best
-        explanation. Infinite if the position is never known, None if not computed.
+        Rms residual of the machine's relation as a share of the flux, with the log as given and
+        with the best explanation. Infinite if the position is never known, None if not computed.
     notes : tuple of str
         What this log cannot show.
     fits : str
-        The parameters that fit, as text.
+        The parameter values that fit best, as text.
     """
 
     findings: tuple[Finding, ...]
@@ -83,12 +83,12 @@ class Check:
 
     @property
     def sound(self) -> bool:
-        """Whether the log and machine as given fit best."""
+        """Whether no correction of the log or the machine fits better."""
         return all(finding.as_given for finding in self.findings)
 
     @property
     def untold(self) -> str:
-        """Sentences on what this log cannot identify; empty if it can identify everything."""
+        """Sentences on what this log cannot identify; empty if the log identifies everything."""
         sentences = [
             f"The lag is ambiguous: {', '.join(finding.others)} would fit equally well."
             for finding in self.findings

@@ -12,12 +12,13 @@ from ..machines.model.frames import PHASE_CURRENTS, clarke, three_phases
 from .relation import Prior
 from .segments import Complex
 
-#: Standard deviations of a machine file's values: ln R (hot copper), ln L (saturation), ln ψ
-#: (heat); and V_d, which it seldom holds, as a share of the voltage.
+#: Standard deviations of ln R (hot copper), ln L (saturation) and ln ψ (heat) in a machine file,
+#: and of V_d as a share of the voltage. Machine files seldom hold V_d.
 SPREAD = np.array([0.25, 0.15, 0.08, 0.1])
-#: Standard deviation of the logarithm of an unknown factor: a factor of 1000 is two of them.
+#: Standard deviation of the logarithm of an unknown factor. A factor of 1000 is two of these
+#: standard deviations.
 WIDE = 3.5
-#: Cost of a mistake, twice the logarithm of its odds: one log in twelve has it.
+#: Cost of a mistake: twice the logarithm of its odds, which are one log in twelve.
 ODDS = 5.0
 
 
@@ -34,7 +35,7 @@ class Linear:
         return np.asarray(self.turn * z + self.mirror * z.conj())
 
     def after(self, first: Linear) -> Linear:
-        """Return the map that applies `first`, then this one."""
+        """Return the map that applies `first` and then this map."""
         return Linear(
             self.turn * first.turn + self.mirror * first.mirror.conjugate(),
             self.turn * first.mirror + self.mirror * first.turn.conjugate(),
@@ -45,13 +46,13 @@ SAME = Linear()
 
 
 def _from_matrix(matrix: Array) -> Linear:
-    """Return the map of a matrix that acts on (α, β)."""
+    """Return the map for a matrix that acts on (α, β)."""
     (a, b), (c, d) = matrix
     return Linear(complex(a + d, c - b) / 2, complex(a - d, c + b) / 2)
 
 
 def _from_two_phases(measured: str) -> Array:
-    """Return the matrix from two phases, for example "ab", to αβ; all three sum to zero."""
+    """Return the matrix from two phases, for example "ab", to αβ; the three phases sum to zero."""
     unit = dict(zip((f"i_{phase}" for phase in measured), np.eye(2), strict=True))
     return clarke(*three_phases(unit, PHASE_CURRENTS)).T
 
@@ -71,10 +72,10 @@ class Mistake:
     lag : int
         Samples to add to the lag.
     resistance, inductance, flux : float
-        Parameters that then fit, relative to the machine file. With voltages u/s and currents i/c
-        instead of u and i, the relation holds with R c/s, L c/s and ψ/s.
+        Parameters that fit after the correction, relative to the machine file. Voltages u/s and
+        currents i/c fulfil the relation with R c/s, L c/s and ψ/s.
     loose : tuple of float
-        Direction in (ln R, ln L, ln ψ) of an unknown common factor.
+        Direction of an unknown common factor in (ln R, ln L, ln ψ).
     """
 
     kind: str
@@ -101,7 +102,7 @@ class Mistake:
     def prior(self, inverter: float) -> Prior:
         """Return the prior of the parameters.
 
-        `inverter` is the inverter voltage of the machine file over the voltage of the log.
+        `inverter` is the machine file's inverter voltage divided by the log's voltage.
         """
         factors = np.array([self.resistance, self.inductance, self.flux])
         direction = np.array([*self.loose, 0.0])
@@ -121,24 +122,25 @@ def _rotation(degrees: float) -> complex:
 
 
 def _wrong_scale(words: str, voltage: float = 1.0, current: float = 1.0) -> Mistake:
-    """Return the mistake that voltages and currents are too large by these factors."""
+    """Return the mistake of voltages and currents that are too large by these factors."""
     ratio = voltage / current
     return Mistake("scale", words, resistance=ratio, inductance=ratio, flux=voltage)
 
 
-#: Negated voltages look the same: the relation also holds for a flux turned by half a turn.
+#: Negated voltages fit equally well: the relation also holds for a flux turned by half a turn.
 SIGN = [
     Mistake(
         "sign",
-        "currents and voltages have opposite signs (scale the current by -1; if the voltage is "
-        "negated, as by inverted duties, scale it instead, or the angle is off by half a turn)",
+        "currents and voltages have opposite signs (scale the current by -1; but if the voltage is "
+        "negated, for example by inverted duties, scale the voltage, because otherwise the angle "
+        "is off by half a turn)",
         Linear(-1.0),
     )
 ]
 
 
 def inverted_sensors(measured: str) -> list[Mistake]:
-    """Return the mistakes that one of two current sensors, for example of "ab", is inverted."""
+    """Return two mistakes: the first or second of two current sensors, e.g. "ab", is inverted."""
     mistakes, from_phases = [], _from_two_phases(measured)
     for phase, inverted in zip(measured, (np.diag([-1, 1]), np.diag([1, -1])), strict=True):
         message = f"i_{phase} has the opposite sign (--scale i_{phase}=-1)"
@@ -183,7 +185,7 @@ NEUTRAL = [
         voltage=Linear(np.sqrt(3) * _rotation(30)),
     )
 ]
-#: Line voltages u_ab, u_bc, u_ca lead the phase voltages by 30° and are larger by √3.
+#: Line voltages u_ab, u_bc, u_ca lead the phase voltages by 30° and are √3 times as large.
 LINE = [
     Mistake(
         "scale",
@@ -192,7 +194,7 @@ LINE = [
     ),
     Mistake(
         "scale",
-        "voltages are line to line, u_ac u_ba u_cb (--frame line, as -u_ca -u_ab -u_bc)",
+        "voltages are line to line, u_ac u_ba u_cb (--frame line; they are -u_ca -u_ab -u_bc)",
         voltage=Linear(_rotation(30) / _3),
     ),
 ]
@@ -205,7 +207,7 @@ SCALES = [
     _wrong_scale("voltages alone are power-invariant (multiply by √(2/3))", voltage=_P),
     _wrong_scale("currents alone are power-invariant (multiply by √(2/3))", current=_P),
     Mistake("scale", "R_s in the machine file is line to line (halve it)", resistance=0.5),
-    Mistake("scale", "R_s in the machine file is half of a phase's (double it)", resistance=2),
+    Mistake("scale", "R_s in the machine file is half the phase's R_s (double it)", resistance=2),
     Mistake(
         "scale",
         "R_s and inductances in the machine file are line to line (halve them)",
@@ -237,7 +239,7 @@ KINDS = tuple(RIGHT)
 
 
 def combine(first: Mistake, second: Mistake) -> Mistake:
-    """Return both mistakes as one; kind and text are those of `second`."""
+    """Combine two mistakes into one, with the kind and the text of `second`."""
     return replace(
         second,
         current=second.current.after(first.current),

@@ -1,13 +1,13 @@
-"""How well a machine's relation holds on segments of a log: a fit with priors.
+"""Fit of a machine's relation, with priors, to segments of a log.
 
-The flux of a segment is λ = λ₀ + ∫ (u - R i - V_d S) dt + θ t with its own λ₀ and θ. Its residual
-is r = |x| - ψ - (L_d - L_q) i_d, x = λ - L_q i (docs/theory.md, section 13). Noise of the current
-increases r² by (L σ)² and would bias L downwards. The cost therefore replaces r² by the product of
-the residuals of two neighbouring rows, whose noises are independent.
+The flux of a segment is λ = λ₀ + ∫ (u - R i - V_d S) dt + θ t; each segment has its own λ₀ and θ.
+The residual is r = |x| - ψ - (L_d - L_q) i_d, where x = λ - L_q i (docs/theory.md, section 13).
+Noise of the current increases r² by (L σ)² and would bias L downwards. The cost therefore replaces
+r² by the product of the residuals of two neighbouring rows, whose noises are independent.
 
 ln R, ln L, ln ψ and V_d are unknown as well, with a prior around the machine file's values. The
-cost, misfit plus distance from the prior, is -2 ln of the posterior, so the costs of different
-explanations can be compared.
+cost is the misfit plus the distance from the prior. This sum is -2 ln of the posterior, so the
+costs of different explanations can be compared.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from .segments import Complex, Segments
 
 #: Order of the parameters.
 R, L, PSI, INVERTER = range(4)
-#: Pairs of neighbouring rows of a segment that enter the fit.
+#: Number of pairs of neighbouring rows that the fit uses in each segment.
 PAIRS = 100
 #: Model error: the residual of a real machine as a share of the flux.
 MODEL = 0.005
-#: Number of independent rows in a segment: model errors repeat in every turn.
+#: Number of independent rows in a segment; it is small because model errors repeat in every turn.
 INDEPENDENT = 4.0
 #: Prior standard deviation of the drift, as a share of the voltage.
 DRIFT = 0.03
 ITERATIONS, HALVINGS = 25, 5
 #: The fit ends when an iteration lowers the cost by less than this.
 CONVERGED = 1e-3
-#: Iterations of the rotor angle at which a flux map is evaluated.
+#: Number of iterations for the rotor angle at which a flux map is evaluated.
 ROUNDS = 3
 #: If the position vector turns by less, the position counts as unknown [rad].
 TURNED = np.pi / 2
@@ -46,7 +46,10 @@ TURNED = np.pi / 2
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Normal prior of ln R, ln L, ln ψ, relative to the machine file; of V_d over the voltage."""
+    """Normal prior of the parameters.
+
+    These are ln R, ln L, ln ψ relative to the machine file, and V_d divided by the voltage.
+    """
 
     mean: Array
     precision: Array
@@ -54,7 +57,7 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class SegmentRows:
-    """Integrals over segments at paired rows: complex arrays (segments, 2 PAIRS) from zero."""
+    """Integrals from the start of each segment to its paired rows: shape (segments, 2 PAIRS)."""
 
     t: Array
     current: Complex
@@ -71,11 +74,11 @@ class RelationFit:
     Attributes
     ----------
     misfit, distance : float
-        Sums of squares, in standard deviations: of the residuals, and from the prior.
+        Sum of squared residuals and squared distance from the prior, in standard deviations.
     share : float
         Rms residual as a share of the flux.
     values : (4,) array
-        ln R, ln L, ln ψ, relative to the machine file; V_d over the voltage.
+        ln R, ln L, ln ψ relative to the machine file, and V_d divided by the voltage.
     std : (4,) array
     position : (segments, 2 PAIRS) array
         Position vector x [Wb].
@@ -90,20 +93,20 @@ class RelationFit:
 
 
 def paired_rows(count: int) -> NDArray[np.intp]:
-    """Return the rows of a segment of `count` rows that enter the fit: pairs of neighbours."""
+    """Return the rows that the fit uses in a segment of `count` rows: pairs of neighbours."""
     even = np.linspace(0, count - 2, min(PAIRS, count // 2)).astype(int)
     return np.stack([even, even + 1], axis=1).ravel()
 
 
 def _swap_pairs(values: Array) -> Array:
-    """Return the values of the other row of each pair."""
+    """Return the values with the two rows of each pair exchanged."""
     return values.reshape(len(values), -1, 2)[..., ::-1].reshape(values.shape)
 
 
 def integrate_segments(
     data: Segments, voltage: Complex, current: Complex, smoothing: float
 ) -> SegmentRows:
-    """Integrate segments; `smoothing` is the current that smooths the inverter's sign [A]."""
+    """Integrate segments; the current `smoothing` [A] smooths the sign of the inverter voltage."""
     h, count = data.sample_time, current.shape[1]
     mean: Complex = mean_current(current)
     flat = mean.ravel()
@@ -126,9 +129,9 @@ def integrate_segments(
 
 
 def _initial_flux(y: Complex, t: Array) -> tuple[Complex, Complex, float]:
-    """Return λ₀ and θ of each segment, and the misfit, so that |λ₀ + θ t + y|² is constant.
+    """Return (λ₀, θ, misfit): each segment's |λ₀ + θ t + y|² is as constant as possible.
 
-    With the products of λ₀ and θ as further unknowns, this relation of the paper is linear
+    This relation of the paper is linear if the products of λ₀ and θ are further unknowns
     (docs/theory.md, section 3).
     """
     size = np.sqrt(np.mean(np.abs(y - y.mean(axis=1, keepdims=True)) ** 2)) + 1e-300
@@ -148,21 +151,22 @@ def _initial_flux(y: Complex, t: Array) -> tuple[Complex, Complex, float]:
 
 @dataclass(frozen=True, eq=False)
 class _Linearisation:
-    """The relation, linearised at some parameters."""
+    """The relation, linearised at given parameters."""
 
     cost: float
     misfit: float
     share: float
     position: Complex
-    columns: Array  # derivatives by λ₀, θ and the parameters, then the neighbour's residual
-    drift: NDArray[np.complex128]  # of each segment, in standard deviations
-    deviation: Array  # of the parameters from the prior's mean
+    columns: Array  # Derivatives by λ₀, θ and the parameters, then the neighbour's residual.
+    drift: NDArray[np.complex128]  # Drift of each segment in standard deviations.
+    deviation: Array  # Parameters minus the prior's mean.
 
 
 class _Position(NamedTuple):
-    """Position vector x [Wb], the part of its length due to the current, and derivatives.
+    """Position vector x [Wb], the part of |x| that the current causes, and derivatives.
 
-    The derivatives are those of |x| minus this part: by the flux, and by ln of the inductances.
+    `to_flux` and `by_scale` are the derivatives of |x| minus `from_current` by the flux and by ln
+    of the inductances.
     """
 
     x: Complex
@@ -172,7 +176,7 @@ class _Position(NamedTuple):
 
 
 class RelationResidual:
-    """The relation of one machine on one set of integrated segments."""
+    """The relation of one machine, evaluated on one set of integrated segments."""
 
     def __init__(self, machine: RotatingMachine, data: SegmentRows, noise: float):
         self.data = data
@@ -199,7 +203,7 @@ class RelationResidual:
         return np.asarray(self._integral(values) - inductance * self.data.current)
 
     def _position(self, flux: Complex, values: Array, psi: float | Array) -> _Position:
-        """Return the position vector of a flux, with the derivatives of its length."""
+        """Return the position vector for a flux, with the derivatives of the vector's length."""
         current, scale = self.data.current, np.exp(values[L])
         x = flux - self.L_q * scale * current
         if self.table is None:
@@ -313,7 +317,7 @@ class RelationResidual:
     def _information(self, point: _Linearisation) -> tuple[Array, Array, Array, Array, Array]:
         """Eliminate λ₀ and θ of each segment; return the information on the parameters.
 
-        Also return its right side, and the terms that give the steps of λ₀ and θ.
+        Also return the right side, and the terms from which the steps of λ₀ and θ follow.
         """
         A = point.columns
         H = np.einsum("pmi,pmj->pij", A, A)

@@ -47,32 +47,33 @@ from .relation import (
 from .segments import Segments, cut_segments
 from .truth import check_truth
 
-#: Explanations whose costs differ by less are ambiguous: two standard deviations.
+#: Explanations whose costs differ by less than this, two standard deviations, are ambiguous.
 AMBIGUOUS = 4.0
 #: With a residual above this share of the flux, no explanation fits.
 BAD = 0.2
 #: Kinds of findings that end the check before the search.
 FATAL = ("columns", "angle")
-#: A parameter is identifiable if the standard deviation of its logarithm is smaller.
+#: A parameter is identifiable if the standard deviation of its logarithm is smaller than this.
 IDENTIFIABLE = 0.1
-#: A magnet flux too large by n_p, to within this share, means that theta_e is a mechanical angle.
+#: If the magnet flux is n_p times too large, to within this share, theta_e is a mechanical angle.
 NEAR_N_P = 0.05
-#: An inverter voltage is reported beyond this many standard deviations.
+#: Report an inverter voltage if it exceeds this many standard deviations.
 CLEAR = 3.0
 #: Largest number of simultaneous mistakes.
 MOST_MISTAKES = 3
-#: Starting values for the logarithm of an unknown factor: up to ten thousand, in steps of two.
+#: Starting values for the logarithm of an unknown factor: powers of two up to about ten thousand.
 FACTORS = np.linspace(-9.1, 9.1, 27)
-#: A voltage below STANDSTILL resistive drops means standstill; below IMPLAUSIBLE, a mistake.
+#: A voltage below STANDSTILL times the resistive drop means standstill; a voltage below IMPLAUSIBLE
+#: times the drop means a mistake.
 STANDSTILL, IMPLAUSIBLE = 1.5, 0.3
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A mistake, corrected on top of the mistakes found before, and the resulting fit."""
+    """The correction of one more mistake, and the resulting fit."""
 
     mistake: Mistake
-    whole: Mistake  # this mistake combined with those found before
+    whole: Mistake  # this mistake combined with the mistakes found before
     fit: RelationFit
     odds: float
     size: float  # mean magnitude of the voltage [V]
@@ -89,13 +90,13 @@ class SearchResult:
     Attributes
     ----------
     given, best : Candidate
-        Without a correction, and with the best ones.
+        The fit without corrections, and the fit with the best corrections.
     mistakes : list of Mistake
         Mistakes that were found.
     alternatives : dict
-        Kind of mistake → texts of others that explain the log equally well.
+        Kind of mistake → texts of other mistakes that explain the log equally well.
     candidates : list of Candidate
-        The best, then the best with each further mistake.
+        The best candidate, then the best candidate with each further mistake.
     level : float
         Divisor of the misfits in a cost.
     """
@@ -109,7 +110,7 @@ class SearchResult:
 
 
 def possible_mistakes(machine: RotatingMachine, log: Log) -> list[Mistake]:
-    """Return the mistakes that are possible for this machine and log, simple ones first."""
+    """Return the mistakes that are possible for this machine and log, simple mistakes first."""
     frame = log.frame
     measured = "".join(name[-1] for name in PHASE_CURRENTS if name in log.names)
     sign_and_phases = [
@@ -118,7 +119,7 @@ def possible_mistakes(machine: RotatingMachine, log: Log) -> list[Mistake]:
         for phases in PHASES
     ]
     scales = [mistake for mistake in [*SCALES, *FACTOR] if machine.magnets or not mistake.only_flux]
-    if not machine.magnets:  # scaling both alike changes nothing
+    if not machine.magnets:  # a common scale of voltages and currents changes nothing
         scales.remove(FACTOR[-1])
     file_values = [mistake for mistake in FILE if machine.magnets or not mistake.only_flux]
     frames = FRAME if frame == "alphabeta" else []
@@ -138,7 +139,7 @@ def possible_mistakes(machine: RotatingMachine, log: Log) -> list[Mistake]:
 
 
 class Search:
-    """Search on one set of segments; keeps the relation of each arrangement of vectors."""
+    """Search on one set of segments; it stores the relation of each arrangement of vectors."""
 
     def __init__(self, machine: RotatingMachine, data: Segments, scales: Scales):
         self.machine, self.data, self.scales = machine, data, scales
@@ -147,7 +148,7 @@ class Search:
         self.relations: dict[Any, RelationResidual] = {}
 
     def refit(self, candidate: Candidate, others: list[Candidate]) -> Candidate:
-        """Fit again, starting at the best fit of the others with the same vectors."""
+        """Fit again, starting at the best fit of other candidates with the same vectors."""
         same = [other for other in others if other.whole.arrangement == candidate.whole.arrangement]
         best = min(same, key=lambda other: other.fit.misfit, default=candidate)
         if not best.fit.misfit < candidate.fit.misfit:
@@ -159,11 +160,11 @@ class Search:
         return candidate if worse else replace(candidate, fit=fit)
 
     def _inverter_share(self, relation: RelationResidual) -> float:
-        """Return the inverter voltage of the machine file over the log's voltage."""
+        """Return the machine file's inverter voltage divided by the log's voltage."""
         return (self.machine.inverter_voltage or 0.0) / (relation.data.size + 1e-300)
 
     def attempt(self, before: Mistake, mistake: Mistake, odds: float) -> Candidate:
-        """Correct a mistake on top of those before, and fit."""
+        """Correct a mistake in addition to `before`, and fit."""
         whole = combine(before, mistake)
         key = whole.arrangement
         if key not in self.relations:
@@ -188,7 +189,7 @@ class Search:
     def run(
         self, possible: list[Mistake], progress: Callable[[int, int], Any] | None
     ) -> SearchResult:
-        """Correct the mistake that explains the log best, then the next one on top of it."""
+        """Correct the mistake that explains the log best; repeat until none improves the cost."""
         best = given = self.attempt(AS_GIVEN, AS_GIVEN, 0.0)
         found: list[Mistake] = []
         equivalent: dict[str, tuple[str, ...]] = {}
@@ -236,7 +237,7 @@ def check_log(
     search = Search(machine, cut_segments(log, machine), measured)
     result = search.run(possible, progress)
     if (vectors := (result.best.whole.current, result.best.whole.voltage)) != (SAME, SAME):
-        # Wrong vectors gave a wrong EMF, by which the segments were chosen: choose them again.
+        # The segments were chosen by an EMF from wrong vectors: choose the segments again.
         search = Search(machine, cut_segments(log, machine, *vectors), measured)
         result = search.run(possible, progress)
     given, best = result.given, result.best
@@ -279,7 +280,7 @@ def _report_no_fit(
         np.median(np.abs(data.voltage[0])) / np.median(machine.R_s * np.abs(data.current))
     )
     message = "no arrangement of signs, phases, lag and scales fits this machine" + (
-        f": the drop at its R_s would be {1 / drops:.3g} times the voltage of this log. Are "
+        f": the drop at R_s would be {1 / drops:.3g} times the voltage of this log. Are "
         f"currents in mA or counts, or is R_s in mΩ?"
         if drops < IMPLAUSIBLE
         else ": the voltage is hardly more than the resistive drop, as at standstill. Does the "
@@ -295,7 +296,7 @@ def _report_no_fit(
 
 
 def _find_other_kind(machine: RotatingMachine, search: Search) -> str | None:
-    """Return a message if a machine with a magnet fits, but this one without does not."""
+    """Return a message if a machine with a magnet fits, but this machine has no magnet."""
     from ..machines import SurfacePMSM
 
     if machine.magnets:
@@ -308,7 +309,7 @@ def _find_other_kind(machine: RotatingMachine, search: Search) -> str | None:
         fit = with_magnet.attempt(AS_GIVEN, any_inductance, 0.0).fit
         if fit.share < BAD / 4:
             return (
-                f"a machine of kind {machine.kind} does not fit, but one with a magnet does "
+                f"a machine of kind {machine.kind} does not fit, but a machine with a magnet does "
                 f"(surface-pmsm, psi_f about {np.sqrt(np.mean(np.abs(fit.position) ** 2)):.3g} Wb)"
             )
     return None
@@ -345,7 +346,7 @@ def _make_finding(kind: str, result: SearchResult, lag: float, flux_name: str) -
 
 
 def _describe_fit(best: Candidate, machine: RotatingMachine) -> str:
-    """Return the parameters that fit, those that are identifiable, as text."""
+    """Return the best values of the identifiable parameters, as text."""
     values, std = best.fit.values, best.fit.std
     names = ("R_s", " and ".join(machine.inductance_names), machine.flux_name)
     factors = [
@@ -363,14 +364,14 @@ def _describe_fit(best: Candidate, machine: RotatingMachine) -> str:
 def _complete_scale(
     finding: Finding, best: Candidate, machine: RotatingMachine, fits: str, frame: str
 ) -> Finding:
-    """Add the values that fit to a finding on scales; return other findings unchanged."""
+    """Complete a finding on scales with the best values; return other findings unchanged."""
     if finding.kind != "scale":
         return finding
     words = finding.words
     if not finding.as_given and any(best.whole.loose):
         words = f"{words}: {_likely_value(best, machine)}"
         if frame == "dq" and abs(np.exp(best.fit.values[PSI]) / machine.n_p - 1) < NEAR_N_P:
-            words += f"; is theta_e the mechanical angle? Then --scale theta_e={machine.n_p}"
+            words += f"; is theta_e the mechanical angle? Then give --scale theta_e={machine.n_p}"
     remarks = [fits, finding.sure]
     if best.fit.std[R] >= IDENTIFIABLE:
         remarks.append("steps of load or speed would show R_s")
@@ -383,7 +384,7 @@ def _likely_value(best: Candidate, machine: RotatingMachine) -> str:
     k = min(np.flatnonzero(loose), key=lambda n: best.fit.std[n])
     if sum(loose) > 1:  # parameters scale with voltages and inversely with currents
         factor = 1 / values[k] if loose[PSI] else values[k]
-        return f"multiply them by about {factor:.3g}, or does the file describe another machine?"
+        return f"multiply them by about {factor:.3g}, unless the file describes another machine"
     if k == PSI:
         return f"{values[k] * (machine.magnet_flux or 0.0):.3g} Wb fits"
     if k == R:

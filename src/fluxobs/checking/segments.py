@@ -1,4 +1,4 @@
-"""Segments of a log, a few turns each, from operating points as different as possible."""
+"""Segments of a log: each lasts a few turns; their operating points differ as much as possible."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ Complex = NDArray[np.complex128]
 VectorMap = Callable[[Complex], Complex]
 
 #: A segment lasts this many turns, but at least this time [s] and this many rows. The drift is
-#: assumed constant within it.
+#: assumed constant within a segment.
 TURNS, SECONDS, SHORTEST = 3.0, 0.05, 100
 #: Largest number of segments.
 MOST_SEGMENTS = 10
-#: Segments with less than this share of the largest EMF are skipped: drops and offsets hide it.
+#: Segments with less than this share of the largest EMF are skipped: drops and offsets hide the
+#: EMF of such segments.
 SLOW = 0.15
 #: Gaps of at most this many rows are interpolated.
 BRIDGED = 5
-#: A row is a spike if its distance from the line between its neighbours exceeds this many times the
-#: median distance, this share of the signal's standard deviation, and twice the difference between
-#: the neighbours.
+#: A row is a spike if its distance from the line between its neighbours exceeds three limits: SPIKE
+#: times the median distance, SPIKE_LEAST times the signal's standard deviation, and twice the
+#: difference between the neighbours.
 SPIKE, SPIKE_LEAST = 30.0, 0.5
-#: Larger values are not measurements [A], [V]; their squares would overflow.
+#: Larger values [A], [V] cannot be measurements; their squares would overflow.
 ABSURD = 1e12
 
 
@@ -47,7 +48,7 @@ class Segments:
     current : (segments, rows) array
         [A].
     voltage : mapping of int to (segments, rows) array
-        Mean over the interval that ends at the row [V], for each of LAGS.
+        Mean voltage [V] over the interval that ends at the row, for each lag of LAGS.
     truth : (segments, rows) array, optional
         The truth channel, in its own unit.
     """
@@ -72,7 +73,7 @@ def _drop_implausible(values: Complex) -> Complex:
 
 
 def _bridge_gaps(values: Complex) -> Complex:
-    """Interpolate across short gaps; leave longer ones."""
+    """Interpolate across short gaps; leave long gaps."""
     values = _drop_implausible(values)
     bad = np.isnan(values)
     if not bad.any() or bad.all():
@@ -98,7 +99,7 @@ def without_spikes(values: Complex) -> tuple[Complex, int]:
         spike = (size > max(SPIKE * typical, smallest)) & (
             size > 2 * np.abs(values[2:] - values[:-2])
         )
-    # A spike also moves its neighbours off their lines, by half as much.
+    # A spike also increases the distances of its two neighbours, by half as much.
     padded = np.concatenate([[0.0], np.where(spike, size, 0.0), [0.0]])
     spike &= (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:])
     at = np.flatnonzero(spike) + 1
@@ -128,7 +129,7 @@ def _segment_length(voltage: list[Complex], sample_time: float) -> int:
 
 
 def _limit_resistance(voltage: list[Complex], current: list[Complex], given: float) -> float:
-    """Return the given resistance, or the log's P/I² if smaller, as with currents in mA."""
+    """Return the minimum of the given resistance and the log's P/I², which is small for mA."""
     u, i = np.concatenate(voltage), np.concatenate(current)
     finite = np.isfinite(u) & np.isfinite(i)
     apparent = float(np.vdot(i[finite], u[finite]).real) / (
@@ -138,7 +139,7 @@ def _limit_resistance(voltage: list[Complex], current: list[Complex], given: flo
 
 
 def _choose_distant(features: Array) -> list[int]:
-    """Return the indices of features far from each other, starting at the largest first feature."""
+    """Return indices of features far from each other, starting with the largest first feature."""
     chosen = [int(np.argmax(features[:, 0]))]
     distance = np.full(len(features), np.inf)
     while len(chosen) < min(MOST_SEGMENTS, len(features)):
@@ -156,8 +157,8 @@ def cut_segments(
 ) -> Segments:
     """Cut segments out of a log.
 
-    The choice of segments uses R_s of the machine to compute the EMF, and the vectors as changed by
-    `current_as` and `voltage_as`. The segments themselves hold the vectors of the log.
+    Segments are chosen by the EMF, computed with the machine's R_s and the vectors that
+    `current_as` and `voltage_as` return. The segments themselves hold the vectors of the log.
 
     Raises
     ------
@@ -180,7 +181,7 @@ def cut_segments(
     for number, i in enumerate(current):
         finite = np.isfinite(i) & np.isfinite(voltage[number])
         for first in range(0, len(i) - count + 1, max(1, count // 2)):
-            # The other lags need voltages from beyond both ends.
+            # Other lags need voltages beyond both ends of the segment.
             if not finite[max(0, first + LAGS[0]) : first + count + LAGS[-1]].all():
                 continue
             cut = slice(first, first + count)
@@ -210,13 +211,13 @@ def cut_segments(
 
 
 def _voltage_at_lag(log: Log, lag: int, share: float, places: list[tuple[int, slice]]) -> Complex:
-    """Return the voltages of segments (excerpt, rows) with another lag."""
+    """Return the voltages of segments at another lag; a place is (excerpt, rows)."""
     voltages: dict[int, Complex] = {}
     needed = {number for number, _ in places}
     for number, excerpt in enumerate(excerpts(log.lagged(lag))):
         if number in needed:
             voltages[number] = without_kinks(_clean(excerpt.voltage), share)
-    # Zero where the voltage would come from beyond an end of the log.
+    # Beyond the ends of the log, the voltage is zero.
     return np.nan_to_num(np.stack([voltages[number][cut] for number, cut in places]))
 
 

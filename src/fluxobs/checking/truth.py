@@ -12,15 +12,14 @@ from .findings import Finding
 from .relation import RelationFit
 from .segments import Segments
 
-#: A mistake explains the rotation of the truth if it predicts it to within this share.
+#: A mistake explains the rotation of the true angle if its prediction errs by less than this share.
 CLOSE = 0.1
-#: Mean errors beyond this reveal a wrong zero or delay [rad], if they exceed CLEAR times the
-#: scatter.
+#: A mean error above SHOWN [rad] and above CLEAR times the scatter reveals a wrong zero or a delay.
 SHOWN = np.radians(4.0)
 CLEAR = 3.0
-#: Errors that scatter by more have no meaningful average [rad].
+#: Errors that scatter by more than this have no meaningful mean [rad].
 SCATTER = np.radians(40.0)
-#: Another lag must reduce the rms error by this factor, from more than WORTH [rad].
+#: Report another lag if the rms error exceeds BETTER times the error at that lag, and WORTH [rad].
 BETTER, WORTH = 2.0, np.radians(1.0)
 
 
@@ -34,8 +33,8 @@ def check_truth(
 ) -> list[Finding]:
     """Return the findings on the truth channel.
 
-    `fits` holds a fit for each lag of the voltage, added to `lag`; their position vectors are at
-    the rows `rows` of each segment.
+    `fits` holds one fit for each change of `lag`. The position vectors of the fits are at the rows
+    `rows` of each segment.
     """
     assert data.truth is not None
     factor = machine.n_p if channel == "theta_mech" else 1
@@ -87,8 +86,8 @@ def check_truth(
 def _explain_ratio(ratio: float, channel: str, machine: RotatingMachine) -> str:
     n_p, magnitude = machine.n_p, abs(ratio)
     reversed_angle = (
-        "the true angle turns against the estimated one: two phases are exchanged in both currents "
-        "and voltages, or the angle counts backwards (scale it by -1)"
+        "the true angle turns against the estimated angle: two phases are exchanged in both "
+        "currents and voltages, or the true angle counts backwards (scale it by -1)"
     )
     if abs(magnitude - 1) < CLOSE:
         return reversed_angle
@@ -125,7 +124,7 @@ def _explain_ratio(ratio: float, channel: str, machine: RotatingMachine) -> str:
 def _check_offset(
     error: Array, speed: Array, channel: str, factor: int, sample_time: float
 ) -> list[Finding]:
-    """Return findings on a wrong zero (constant error) and a delay (error that follows speed)."""
+    """Return findings on a wrong zero (constant error) and a delay (error grows with speed)."""
     mean = float(np.angle(np.exp(1j * error).mean()))
     means = wrap(np.angle(np.exp(1j * error).mean(axis=1)) - mean)
     columns = np.stack([np.ones_like(speed), speed], axis=1)
@@ -158,7 +157,8 @@ def _check_offset(
                 Finding(
                     "truth",
                     f"the error grows with the speed, like a delay of {abs(samples):.2f} samples: "
-                    f"change --lag, or the true angle comes {'late' if samples > 0 else 'early'}",
+                    f"either --lag is wrong, or the true angle is "
+                    f"{'late' if samples > 0 else 'early'}",
                     False,
                 )
             )

@@ -1,4 +1,4 @@
-"""Recorded data: files and arrays, the meaning of their columns, and the sizes of their signals."""
+"""Recorded data: files and arrays, the meaning of the columns, and the sizes of the signals."""
 
 from .log import Log
 from .meaning.layout import Layout

@@ -1,4 +1,4 @@
-"""Assemble a log, one table on uniform rows, from the tables of its files."""
+"""Assemble a log from the tables of its files; a log is one table on uniform rows."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def assemble(
     ------
     RecordError
         A column is missing, the sample time is missing or contradictory, time is not uniform,
-        there are too few rows, or the lag exceeds them.
+        there are too few rows, or the lag exceeds the number of rows.
     """
     named_tables = name_columns(files)
     guessed = guess(named_tables, fields, frames)
@@ -112,7 +112,7 @@ def _check_columns(named_tables: Sequence[NamedTable], guessed: Guess) -> None:
 
 
 def _classify_angle(guessed: Guess) -> None:
-    """Decide from its values whether a true angle is electrical or mechanical, if unnamed."""
+    """If no name says whether a true angle is electrical or mechanical, decide by its values."""
     name = guessed.fields.get("truth", {}).get("theta")
     if name is None:
         return
@@ -122,7 +122,7 @@ def _classify_angle(guessed: Guess) -> None:
     channel = "theta_e"
     try:
         scale = units.factor(channel, unit)
-    except RecordError:  # a position in metres, for example
+    except RecordError:  # not an angle: a position in metres, for example
         del guessed.fields["truth"]
         return
     currents = {c: n for c, n in guessed.channels.items() if c.startswith("i_")}
@@ -197,16 +197,16 @@ def _join_tables(
     scales: Mapping[str, float],
     notes: list[str],
 ) -> tuple[Table, Clock]:
-    """Join all tables on the rows of the first."""
+    """Join all tables on the rows of the first table."""
     base = timed[0]
     tables: list[Table] = [base.table]
     for other in timed[1:]:
         if layout.align == "index" or other.clock is base.clock:
             if other.clock.rows < base.clock.rows:
                 raise RecordError(
-                    f"{other.named.table.path}: {other.clock.rows} rows, where "
+                    f"{other.named.table.path}: {other.clock.rows} rows, but "
                     f"{base.named.table.path} has {base.clock.rows}; files joined row by "
-                    f"row need equally many"
+                    f"row need the same number of rows"
                 )
             tables.append(other.table)
             continue
@@ -237,7 +237,8 @@ def _check_overlap(base: Timed, other: Timed, shift: float) -> None:
     start, end = other.clock.t0 + shift, other.clock.end + shift
     if end <= base.clock.t0 or start >= base.clock.end:
         raise RecordError(
-            f"{other.named.table.path}: runs from {start:.6g} s to {end:.6g} s, but "
-            f"{base.named.table.path} from {base.clock.t0:.6g} s to {base.clock.end:.6g} s. If "
-            f"their clocks differ, --align auto finds the shift; --align index joins row by row"
+            f"{other.named.table.path}: the file runs from {start:.6g} s to {end:.6g} s, but "
+            f"{base.named.table.path} runs from {base.clock.t0:.6g} s to {base.clock.end:.6g} s. "
+            f"If the clocks of the files differ, --align auto finds the shift; --align index "
+            f"joins the files row by row"
         )

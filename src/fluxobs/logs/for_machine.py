@@ -1,4 +1,4 @@
-"""Logs opened for a machine, with its frame and a truth channel that fits it."""
+"""Open logs for a machine, with the machine's frame and a truth channel that fits the machine."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from .log import Log
 from .meaning.guess import ROTATING
 from .read import read_log
 
-#: Truth channels of a rotor other than its angle.
+#: Truth channels of a rotor that are not its angle.
 INDIRECT = ("speed_mech", "speed_e", "hall")
 
 
 def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
-    """Open a log for a machine, by default with its frame and a truth channel that fits it.
+    """Open a log for a machine; by default, use the machine's frame and a suitable truth channel.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
     RecordError
         The frame or the truth channel does not fit the kind of machine.
     """
-    if layout.get("frame") is not None:  # before the columns are searched
+    if layout.get("frame") is not None:  # checked before the columns are searched
         _check_frame(layout["frame"], machine)
     frames: tuple[Frame, ...] = ROTATING if machine.frame == "alphabeta" else (machine.frame,)
     log = read_log(source, frames=frames, **layout)
@@ -41,7 +41,8 @@ def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
         if log.true is not None and log.true.guessed:
             return replace(log, true=None)
         raise RecordError(
-            f"truth {log.truth[0]}: kind {machine.kind} has {' or '.join(reversed(truths))}"
+            f"truth {log.truth[0]} does not fit kind {machine.kind}; use "
+            f"{' or '.join(reversed(truths))}"
         )
     return log
 

@@ -1,4 +1,4 @@
-"""Log: a table and the meaning of its columns, read as aligned currents and voltages."""
+"""Log: a table and the meaning of its columns; it yields aligned currents and voltages."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ MINIMUM_ROWS = 20
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Truth channel of a log, and the columns that it is read from.
+    """Truth channel of a log, and the columns that contain the channel.
 
     Attributes
     ----------
     channel : str
     columns : tuple of str
     guessed : bool
-        Whether it was guessed, not named by the user.
+        Whether the channel was guessed, not named by the user.
     centre, size : (n,) ndarray
-        Offsets and amplitudes that scale sine and cosine to a unit circle; thresholds of three
-        Hall signals.
+        Offsets and amplitudes that scale sine and cosine to a unit circle; for three Hall signals,
+        `centre` holds the thresholds.
     """
 
     channel: str
@@ -50,7 +50,7 @@ class Truth:
         return self.channel.startswith("theta")
 
     def of(self, values: list[Array]) -> Array:
-        """Return the channel from its columns, in their unit; NaN where a value is missing."""
+        """Return the channel in the unit of its columns; NaN where a value is missing."""
         values = [np.where(np.isfinite(value), value, np.nan) for value in values]
         if self.channel == "hall" and len(values) == 1:
             integral = values[0] == np.round(values[0])
@@ -82,14 +82,14 @@ class Log:
     names : dict
         Channel → column.
     conversions : dict
-        Channel → (scale, offset) that turn its column into SI.
+        Channel → (scale, offset) that convert the channel's column to SI.
     clock : Clock
     first, last : int
     notes : tuple of str
         Guesses, and defects of the file that were repaired.
     true : Truth, optional
     inverter : InverterError, optional
-        Subtracted from the commanded voltage.
+        Error that is subtracted from the commanded voltage.
     """
 
     table: Table
@@ -121,7 +121,7 @@ class Log:
 
     @property
     def current_frame(self) -> Frame:
-        """Frame of the currents, which may differ."""
+        """Frame of the currents, which may differ from that of the voltages."""
         return self.layout.currents or self.frame
 
     @property
@@ -131,7 +131,7 @@ class Log:
 
     @property
     def truth(self) -> tuple[str, str] | None:
-        """Channel and column of the truth, if there is one."""
+        """Channel and column of the truth, or None without a truth."""
         return None if self.true is None else (self.true.channel, ",".join(self.true.columns))
 
     @property
@@ -160,7 +160,7 @@ class Log:
         return values if offset == 0.0 else values + offset
 
     def channels_of(self, batch: Columns) -> tuple[Columns, Array | None]:
-        """Return scaled channels and truth of a batch of its table, before any transform."""
+        """Return scaled channels and truth of a batch of the table, before any transform."""
         channels = {name: self._scaled(name, batch[column]) for name, column in self.names.items()}
         if self.frame == "duty" and self.layout.udc is not None:
             link = np.full(len(next(iter(channels.values()))), self.layout.udc)
@@ -184,7 +184,7 @@ class Log:
     def aligned(
         self, first: int | None = None, last: int | None = None, size: int = BATCH
     ) -> Iterator[Aligned]:
-        """Yield rows in order, inverter losses subtracted; the batch size changes no number.
+        """Yield rows in order, with inverter losses subtracted; the batch size has no effect.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class Log:
         yield from aligning.end()
 
     def aligning(self, first: int = 0) -> Aligning:
-        """Return the :class:`Aligning` of its rows, from row `first` on."""
+        """Return the :class:`Aligning` of the log's rows from row `first` on."""
         return Aligning(self.frame, self.current_frame, self.layout.lag, self.inverter, first)
 
     def to_record(self) -> Record:
@@ -212,7 +212,7 @@ class Log:
         voltage = np.concatenate([batch.voltage for batch in batches])
         return Record(
             self.sample_time,
-            # Row k of a record acts from t_k on: the interval that ends at k belongs to row k - 1.
+            # Row k of a record acts from t_k on: the interval ending at t_k belongs to row k - 1.
             np.concatenate([voltage[1:], np.full((1, 2), np.nan)]),
             np.concatenate([batch.current for batch in batches]),
             theta_e=np.concatenate([batch.truth for batch in batches if batch.truth is not None])
@@ -222,12 +222,12 @@ class Log:
 
 
 def rows_between(layout: Layout, clock: Clock, path: Path) -> tuple[int, int]:
-    """Return the first row, and the row after the last, within the times of a layout.
+    """Return the first row within the times of a layout, and the row after the last one.
 
     Raises
     ------
     RecordError
-        The rows are too few, or the lag exceeds them.
+        The rows are too few, or the lag exceeds the number of rows.
     """
     first, last = 0, clock.rows
     if clock.rows < MINIMUM_ROWS:

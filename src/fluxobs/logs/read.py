@@ -24,7 +24,7 @@ from .record import Record, alphabeta_rows
 #: arrays, such as a data frame; or a pair (voltage, current) of arrays.
 Source = str | Path | Log | Record | Mapping[str, Any] | tuple[Any, Any]
 
-#: Mapping fields of a layout: options add to those of a record file.
+#: Fields of a layout that are mappings: options add entries to the mappings of a record file.
 _MAPPINGS = ("columns", "scale", "offset", "truth", "unit", "adc")
 
 Files = list[tuple[Path, list[Table]]]
@@ -39,7 +39,7 @@ def read_log(
     frames: Sequence[Frame] = ROTATING,
     **layout: Any,
 ) -> Log:
-    """Open a log. Only its head and its times are read at this point.
+    """Open a log. At this point, only the head and the times of the log are read.
 
     Missing fields of the layout are guessed from names, units and values of the columns;
     ``log.notes`` lists the guesses.
@@ -48,14 +48,14 @@ def read_log(
     ----------
     source : path, Log, Record, mapping of str to array, or (voltage, current)
         A file in one of the formats of :mod:`fluxobs.logs.formats`, or data in memory. A pair of
-        arrays has shapes as in :class:`Record`: (rows, 2) in αβ, (rows, 3) of three phases, or
-        (rows,) complex.
+        arrays has shapes as in :class:`Record`: (rows, 2) in αβ, (rows, 3) for three phases, or
+        (rows,) for complex numbers.
     record : path, optional
         TOML with the fields of :class:`Layout`; other arguments override it.
     preset : str, optional
         Name of a shipped record for the logs of a known tool; `record` overrides it.
     frame : str, optional
-        Default: the first of `frames` that the columns fill.
+        Default: the first of `frames` for which all columns exist.
     frames : sequence of str
         Frames to choose from.
     layout : optional
@@ -72,7 +72,7 @@ def read_log(
     RecordError
         The source cannot be read, or lacks a column of the layout; the message says where.
     UsageError
-        A layout is given for a log or a record, which have one already.
+        A layout is given for a log or a record, which already has a layout.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def read_log(
 
 
 def _override(fields: dict[str, Any], later: Mapping[str, Any]) -> None:
-    """Remove earlier units, converters and scales of channels that are given a later one."""
+    """Remove earlier units, converters and scales of channels that `later` converts."""
     converted = {channel: name for name in CONVERTING for channel in later.get(name, {})}
     for name in CONVERTING:
         if name in fields:
@@ -122,7 +122,7 @@ def _override(fields: dict[str, Any], later: Mapping[str, Any]) -> None:
 def _open_source(
     source: Any, fields: dict[str, Any], default_frame: Frame
 ) -> tuple[Files, dict[str, Any]]:
-    """Open the tables of a source, and complete the fields that it fixes."""
+    """Open the tables of a source, and complete the fields that the source fixes."""
     fields = dict(fields)
     if isinstance(source, str | Path):
         header = _header(fields.get("header"))
@@ -167,7 +167,8 @@ def _record_table(
     surplus = set(fields) - {"frame", "held", "start", "stop", "fit_truth"}
     if surplus or frame not in ("alphabeta", "ports"):
         raise UsageError(
-            f"{', '.join(sorted(surplus)) or 'frame'}: already fixed in a Record, which is in αβ"
+            f"{', '.join(sorted(surplus)) or 'frame'}: cannot be given for a Record, which is in "
+            f"αβ and fixes its layout"
         )
     fields = fields | {"sample_time": source.sample_time, "lag": source.lag}
     channels = _channels(source.voltage, source.current, frame)
@@ -187,7 +188,9 @@ def _pair_table(
             f"for other frames give a mapping of channels to arrays"
         )
     if "sample_time" not in fields:
-        raise UsageError("sample_time is missing: arrays without a time column need it [s]")
+        raise UsageError(
+            "sample_time is missing: arrays without a time column need a sample time [s]"
+        )
     u, i = alphabeta_rows("voltage", voltage), alphabeta_rows("current", current)
     if len(u) != len(i):
         raise RecordError(
@@ -197,7 +200,7 @@ def _pair_table(
 
 
 def _take_constant_udc(fields: dict[str, Any], files: Files) -> None:
-    """Take a udc column that is a number, not a column name, as a constant voltage."""
+    """Use udc as a constant voltage if a number, not a column name, is given as its column."""
     columns = dict(fields.get("columns", {}))
     constant = columns.get("udc")
     if constant is None:

@@ -13,7 +13,7 @@ from ..machines.model.frames import clarke
 
 #: Voltage lags that occur in practice, relative to the given lag [samples].
 LAGS = (-2, -1, 0, 1, 2)
-#: Sample times of record and observer may differ by this share, the accuracy of clocks.
+#: Sample times of record and observer may differ by this share, because clocks are inaccurate.
 SAMPLE_TIME_TOLERANCE = 1e-3
 
 
@@ -21,14 +21,14 @@ def interval_rows(rows: Array, lag: float, first: int, last: int, start: int = 0
     """Return the voltage over the intervals that end at rows first … last - 1.
 
     The voltage of the interval [t_{k-1}, t_k] is read at row ``k - 1 + lag``, interpolated linearly
-    if that is fractional. Outside `rows` it is NaN, never extrapolated.
+    if this number is fractional. Outside `rows`, the voltage is NaN, never extrapolated.
 
     Parameters
     ----------
     rows : (m, 2) ndarray
         Voltage as recorded, rows start … start + m - 1 of the record.
     lag : float
-        In samples. 0: row k acts from t_k to t_{k+1}; -1: one sample later.
+        In samples. With lag 0, row k acts from t_k to t_{k+1}; with lag -1, one sample later.
     first, last, start : int
         Row numbers of the record.
 
@@ -67,8 +67,8 @@ class Record:
     sample_time : float
         [s], > 0.
     voltage, current : array_like
-        As logged [V], [A]; NaN where missing. (rows, 2) in αβ, (rows, 3) of three phases, or
-        (rows,) complex α + j β. Kept as (rows, 2) in αβ, amplitude-invariant.
+        As logged [V], [A]; NaN where missing. The shape is (rows, 2) in αβ, (rows, 3) for three
+        phases, or (rows,) for complex α + j β. Stored as (rows, 2) in αβ, amplitude-invariant.
     lag : float
         Interval over which a row's voltage acts, in samples; see :func:`interval_rows`.
     theta_e : (rows,) array_like, optional
@@ -121,9 +121,9 @@ class Record:
         return np.asarray(np.arange(len(self)) * self.sample_time)
 
     def interval_voltage(self) -> Array:
-        """Return the mean voltage of the interval ending at each row, (rows, 2) [V].
+        """Return the mean voltage of the interval ending at each row, shape (rows, 2) [V].
 
-        It is NaN where unknown.
+        The voltage is NaN where it is unknown.
         """
         return interval_rows(self.voltage, self.lag, 0, len(self))
 
@@ -137,7 +137,7 @@ class Record:
         """
         if not np.isclose(self.sample_time, sample_time, rtol=SAMPLE_TIME_TOLERANCE):
             raise RecordError(
-                f"the record's sample time, {self.sample_time:g} s, is not the observer's, "
+                f"the record's sample time is {self.sample_time:g} s, but the observer's is "
                 f"{sample_time:g} s: create the observer with the record's sample time"
             )
         return self.interval_voltage(), self.current
@@ -154,12 +154,12 @@ def check_lag(lag: float, rows: int) -> None:
 
 
 def alphabeta_rows(name: str, value: ArrayLike) -> Array:
-    """Return vectors in αβ, (rows, 2), from αβ, three phases or complex numbers.
+    """Convert αβ, three phases or complex numbers to vectors in αβ of shape (rows, 2).
 
     Raises
     ------
     RecordError
-        The shape is none of these, or the values are not numbers.
+        The shape does not fit, or the values are not numbers.
     """
     try:
         array = np.asarray(value)

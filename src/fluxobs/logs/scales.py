@@ -1,4 +1,4 @@
-"""Sizes of a log's signals, which the machine file does not give, from a first pass."""
+"""Sizes of a log's signals, measured in a first pass; the machine file does not give them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ..machines.model.frames import wrap
 from .log import Log
 from .time.aligned import Aligned, between, joined
 
-#: Number and rows of the excerpts examined, evenly spread over a log.
+#: Number of excerpts examined, evenly spread over a log, and rows of each excerpt.
 EXCERPTS, EXCERPT_ROWS = 64, 16384
-#: Rows of a noise level; transients do not move the median of the levels.
+#: Rows from which one noise level is computed; transients do not change the median of the levels.
 NOISE_ROWS = 256
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of the signals; each only needs to be right within a factor of a few.
+    """Sizes of the signals; each size may be wrong by a factor of two or three.
 
     Attributes
     ----------
@@ -32,10 +32,10 @@ class Scales:
         95th percentile of |u| [V].
     current_noise, voltage_noise : float
         Standard deviation of one component, from third differences [A], [V]. For a commanded
-        voltage it is the activity of the controller, not an error.
+        voltage, this value is the activity of the controller, not an error.
     current_speed : float
-        95th percentile of the speed at which the current vector turns [rad/s]; mere noise if there
-        is little current.
+        95th percentile of the speed at which the current vector turns [rad/s]; if the current is
+        small, this value is only noise.
     """
 
     current: float
@@ -46,7 +46,7 @@ class Scales:
 
 
 def excerpts(log: Log) -> Iterator[Aligned]:
-    """Yield evenly spread excerpts of a log, the same for every format; all of a short log."""
+    """Yield evenly spread excerpts of a log, equal for every format; of a short log, all rows."""
     if len(log) <= EXCERPTS * EXCERPT_ROWS:
         yield joined(list(log.aligned()))
         return
@@ -69,7 +69,7 @@ def excerpts(log: Log) -> Iterator[Aligned]:
 
 
 def white_noise(signal: Array) -> float:
-    """Return the std of one component of white noise on a smooth signal, (rows, 2).
+    """Return the std of one component of white noise on a smooth signal of shape (rows, 2).
 
     Third differences remove the smooth signal and have 20 times the variance of the noise.
     """
@@ -89,13 +89,13 @@ def measure_scales(log: Log) -> Scales:
     Raises
     ------
     RecordError
-        The log has no finite current or voltage, or one of them is always zero.
+        The log has no finite current or voltage, or the current or voltage is always zero.
     """
     return scales_of(excerpts(log), log.sample_time, log.path)
 
 
 def scales_of(pieces: Iterable[Aligned], sample_time: float, path: Path) -> Scales:
-    """Return the scales from pieces of a log; errors as in :func:`measure_scales`."""
+    """Return the scales from parts of a log; raise errors like :func:`measure_scales`."""
     currents, voltages, noise, voltage_noise, turning = [], [], [], [], []
     for piece in pieces:
         turning.append(np.abs(wrap(np.diff(np.arctan2(piece.current[:, 1], piece.current[:, 0])))))

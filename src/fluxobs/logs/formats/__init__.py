@@ -9,9 +9,9 @@ from ...core.input_files import check_regular
 from ...errors import RecordError
 from .table import BATCH, Said, Table, missing_column, read_rows
 
-#: Endings of files that are not text, each with its module and function, loaded on demand to keep
-#: start-up short. A new format needs a function that returns the tables of a file, one for each set
-#: of columns that share their times, and a line here.
+#: Endings of files that are not text. Each ending has a module and a function, which are loaded on
+#: demand to keep start-up short. A new format needs a line here, and a function that returns the
+#: tables of a file: one table for each set of columns that share their times.
 FORMATS = {
     ".npz": ("npz", "open_npz"),
     ".npy": ("npy", "open_npy"),
@@ -39,14 +39,14 @@ FORMATS = {
 }
 #: Openers of formats whose columns may lack names.
 _NAMELESS = ("open_npy", "open_excel")
-#: First bytes of a file → its format, whatever its ending.
+#: First bytes of a file → format of the file. The first bytes decide if the ending is unknown.
 _MAGIC = {b"MDF     ": ".mf4", b"UnFinMF ": ".mf4", b"\x89HDF\r\n": ".h5", b"PAR1": ".parquet"}
 
 __all__ = ["BATCH", "Said", "Table", "missing_column", "open_tables", "read_rows"]
 
 
 def open_tables(path: str | Path, header: list[str] | None = None) -> list[Table]:
-    """Open the tables in a file by its ending, or else as delimited text.
+    """Open the tables in a file. The file's ending selects the format; the default is text.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def _format(path: Path) -> tuple[str, str | None]:
     with path.open("rb") as file:
         first_bytes = file.read(8)
     detected = next((name for head, name in _MAGIC.items() if first_bytes.startswith(head)), None)
-    if ending == ".dat" and detected is None:  # text as well as MDF
+    if ending == ".dat" and detected is None:  # the ending .dat is used for text and for MDF
         return "text", None
     if ending not in FORMATS and detected is not None:
         ending = detected

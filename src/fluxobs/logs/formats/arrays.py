@@ -46,7 +46,7 @@ class ArrayTable(Table):
         self.rows = lengths.pop() if lengths else 0
 
     def within(self, group: str) -> ArrayTable:
-        """Return the table with columns named "group/name"."""
+        """Return the table with its columns renamed to "group/name"."""
         table = ArrayTable(
             {f"{group}/{name}": array for name, array in self._arrays.items()}, self.path
         )

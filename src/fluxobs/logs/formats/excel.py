@@ -1,4 +1,4 @@
-"""Excel workbooks: each sheet is read as text, with the same search for preambles and units."""
+"""Excel workbooks: each sheet is read like a text file, with its preamble and units."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from .table import Table
 from .text.structure import find_structure
 from .workbook import check_cells, unpacked_size
 
-#: Memory of the process that reads a workbook [bytes]: basic demand, which covers an .xls sheet
-#: with content only in its last cell, and demand per unpacked byte. A cell takes 80 bytes, its XML
-#: 32.
+#: Memory of the process that reads a workbook [bytes]: a base, and an amount per unpacked byte. The
+#: base is enough for an .xls sheet with content only in its last cell. A cell needs 80 bytes; the
+#: XML of a cell has 32 bytes.
 BASE_MEMORY, MEMORY_PER_BYTE = 1 << 30, 4
-#: Time limit of that process [s]: base, and per byte; ten million bytes take a second.
+#: Time limit of that process [s]: a base, and a time per byte. Ten million bytes take a second.
 BASE_TIME, TIME_PER_BYTE = 60.0, 1e-6
-#: Bytes of XML that correspond to a byte of .xls, which has six per cell.
+#: Bytes of XML that correspond to one byte of an .xls file. Such a file has six bytes per cell.
 XLS = 6
 
 
 def open_excel(path: Path, header: list[str] | None = None) -> list[Table]:
-    """Open the tables of the sheets; columns are "sheet/column" if several sheets have one."""
+    """Open the tables of the sheets; columns are "sheet/column" if several sheets have tables."""
     library("fastexcel", "excel", path)
     is_zip = path.suffix.lower() != ".xls"
     size = unpacked_size(path) if is_zip else XLS * path.stat().st_size
@@ -46,7 +46,7 @@ def read_sheets(path: Path, header: list[str] | None) -> list[ArrayTable]:
             drop_empty_rows=False,
             raise_if_empty=False,
         )
-    except Exception as error:  # the reader raises many kinds for a broken file
+    except Exception as error:  # the reader raises many kinds of errors for a broken file
         raise RecordError(f"{path}: not a readable workbook: {error}") from None
     tables: dict[str, ArrayTable] = {}
     problems = []

@@ -1,4 +1,4 @@
-"""Optional libraries of some formats, each an extra of the package."""
+"""Optional libraries that some formats need; each library is an extra of the package."""
 
 from __future__ import annotations
 

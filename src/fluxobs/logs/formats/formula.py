@@ -1,4 +1,4 @@
-"""Formulas in files: only arithmetic of one value is allowed."""
+"""Formulas in files: only arithmetic with one variable is allowed."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ FUNCTIONS = (
     *("exp", "log", "log10", "sqrt", "abs"),
 )
 VALUES = ("X", "X1", "INF", "NaN")
-#: Longest formula [characters]; a polynomial of degree ten with coefficients of full precision has
-#: 300.
+#: Longest formula [characters]. A polynomial of degree ten with coefficients of full precision has
+#: 300 characters.
 LENGTH = 1000
 #: Largest exponent. numexpr expands a power into products, and nested powers into products of
-#: products: without nesting and with small exponents the work is bounded.
+#: products. The work is bounded because powers are not nested and exponents are small.
 EXPONENT = 16
 _ARITHMETIC = (
     *(ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant),
@@ -23,9 +23,9 @@ _ARITHMETIC = (
 
 
 def is_arithmetic(formula: str) -> bool:
-    """Return whether a formula only computes a number, in a time independent of its numbers.
+    """Return whether a formula only computes a number, in a time independent of its constants.
 
-    Libraries pass formulas to an interpreter, which would run any code in them.
+    Libraries pass formulas to an interpreter, which would run any code in a formula.
 
     Examples
     --------
@@ -57,7 +57,7 @@ def _is_allowed(node: ast.AST, called: bool) -> bool:
 
 
 def _is_small_power(power: ast.BinOp) -> bool:
-    """Return whether a power has a small constant exponent and a base of X without powers."""
+    """Return whether a power has a small constant exponent, and a base with X but no powers."""
     exponent = power.right
     if not isinstance(exponent, ast.Constant) or not isinstance(exponent.value, int | float):
         return False

@@ -14,18 +14,20 @@ from .table import Table
 
 #: MATLAB's group of referenced objects.
 _REFERENCES = "#refs#"
-#: Deflate, and filters that do not compress, or not below the information: shuffle, checksum,
-#: n bits.
+#: Code of deflate, and codes of filters that do not compress beyond the content of the data:
+#: shuffle, checksum, n bits.
 _DEFLATE, _PLAIN = 1, (2, 3, 5, 6)
 
 
 class _Dataset:
-    """Dataset, checked before its values are first unpacked."""
+    """Dataset; its size is checked before the first values are unpacked."""
 
     def __init__(self, h5py: Any, file: Any, data: Any, limit: int) -> None:
         self.shape, self.dtype = data.shape, data.dtype
         self._chunk = math.prod(data.chunks) * self.dtype.itemsize if data.chunks else 0
-        if PACKED_BLOCK < self._chunk <= BLOCK:  # otherwise every batch unpacks it again
+        if (
+            PACKED_BLOCK < self._chunk <= BLOCK
+        ):  # without a cache, every batch unpacks the chunk again
             name = h5py.h5i.get_name(data.id)
             data.id.close()
             access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
@@ -43,7 +45,7 @@ class _Dataset:
         return self._data[rows]
 
     def _check_size(self) -> None:
-        """Raise ValueError if it unpacks to more than it declares, or far more than its file."""
+        """Raise ValueError if the dataset is larger than declared, or far larger than the file."""
         size = math.prod(self.shape) * self.dtype.itemsize
         if size > self._limit:
             raise ValueError(f"{self._data.name} unpacks to {size} bytes, more than {self._limit}")
@@ -84,8 +86,8 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
         if isinstance(node, h5py.Dataset) and not name.startswith(_REFERENCES) and node.shape:
             if node.is_virtual or node.external:
                 raise RecordError(
-                    f"{path}: the values of {name} are kept in other files, which are "
-                    f"not read for a log; copy them into this file"
+                    f"{path}: the values of {name} are kept in other files, which are not read; "
+                    f"copy the values into this file"
                 )
             unit = next(
                 (node.attrs[key] for key in ("unit", "units", "Unit") if key in node.attrs), None
@@ -100,6 +102,6 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
         file.visititems(visit)
     except RecordError:
         raise
-    except Exception as error:  # h5py raises many kinds for a broken file
+    except Exception as error:  # h5py raises many kinds of errors for a broken file
         raise RecordError(f"{path}: damaged: {error}") from None
     return tables(path, contents)

@@ -1,7 +1,7 @@
 """Read files in a separate process with limited memory.
 
-A library in Rust or C aborts its process if it gets no memory or has a fault: this process
-survives.
+A library in Rust or C aborts its process if it gets no memory or has a fault. The process that
+calls this module survives.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from ...errors import RecordError
 from .arrays import ArrayTable
 from .table import Said
 
-#: Function that reads the tables of a file in that process.
+#: Function that reads the tables of a file in the separate process.
 Reader = Callable[[Path, list[str] | None], list[ArrayTable]]
 
 _CHILD = f"from {__name__} import answer; answer()"
-#: Threads take address space, and a backtrace of a library takes seconds.
+#: Threads use address space, and a library needs seconds for a backtrace.
 _ENVIRONMENT = {"POLARS_MAX_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RUST_BACKTRACE": "0"}
 
 
@@ -37,7 +37,7 @@ def read_apart(
     Parameters
     ----------
     reader : function
-        Of a module, so that the process can import it.
+        A function of a module, so that the process can import the function.
     path : path
     header : list of str, optional
     memory : int
@@ -48,11 +48,12 @@ def read_apart(
     Raises
     ------
     RecordError
-        The reader raises it, the process ends without an answer, or exceeds its limits.
+        The reader raises a RecordError, or the process ends without an answer or exceeds its
+        limits.
     """
     request = [reader.__module__, reader.__qualname__, str(path), header, memory]
     try:
-        process = subprocess.run(  # -P: nothing is imported from the folder of the log
+        process = subprocess.run(  # with -P, nothing is imported from the folder of the log
             [sys.executable, "-P", "-c", _CHILD],
             input=json.dumps(request).encode(),
             capture_output=True,
@@ -61,14 +62,14 @@ def read_apart(
         )
     except subprocess.TimeoutExpired:
         raise RecordError(
-            f"{path}: reading it took more than {seconds:.3g} s. Save only its table, as CSV"
+            f"{path}: reading the file took more than {seconds:.3g} s. Save only the table, as CSV"
         ) from None
     position = process.stdout.find(b"\n") + 1
     if process.returncode or not position:
         raise RecordError(
-            f"{path}: reading it ended with {_last_line(process.stderr) or process.returncode}. "
-            f"The file is damaged, or takes more than {memory >> 20} MB of memory. Save only its "
-            f"table, as CSV"
+            f"{path}: reading the file ended with "
+            f"{_last_line(process.stderr) or process.returncode}. The file is damaged, or needs "
+            f"more than {memory >> 20} MB of memory. Save only the table, as CSV"
         )
     reply = json.loads(process.stdout[:position])
     if isinstance(reply, str):
@@ -86,13 +87,13 @@ def read_apart(
 
 
 def _last_line(stderr: bytes) -> str:
-    """Return the last line of error output that is not advice on debugging."""
+    """Return the last line of the error output, without advice on debugging."""
     lines = [line for line in stderr.decode(errors="replace").splitlines() if line.strip()]
     return next((line[:200] for line in reversed(lines) if not line.startswith("note:")), "")
 
 
 def answer() -> None:
-    """Read a request from standard input; write a line of JSON and the columns."""
+    """Read a request from standard input; write a line of JSON and the columns as the answer."""
     module, name, path, header, memory = json.load(sys.stdin)
     reader: Reader = getattr(importlib.import_module(module), name)
     _limit_memory(memory)
@@ -112,7 +113,7 @@ def answer() -> None:
 
 
 def _limit_memory(memory: int) -> None:
-    """Limit further allocations of this process [bytes], on Linux only."""
+    """Limit further allocations of this process to `memory` [bytes], on Linux only."""
     if sys.platform == "linux":
         import resource
 

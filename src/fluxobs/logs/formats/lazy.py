@@ -9,7 +9,7 @@ import polars as pl
 
 from .table import Columns
 
-#: Exceptions of Polars for a broken file; a panic is not an Exception.
+#: Exceptions of Polars for a broken file. PanicException is not a subclass of Exception.
 BROKEN = (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError)
 
 
@@ -25,7 +25,7 @@ def frames(
 
 
 def as_columns(frame: pl.DataFrame) -> Columns:
-    """Convert to float columns, null to NaN."""
+    """Convert a frame to float columns, and null to NaN."""
     return {
         name: frame[name].cast(pl.Float64).fill_null(np.nan).to_numpy() for name in frame.columns
     }

@@ -1,4 +1,4 @@
-"""MATLAB files: up to version 7 read into memory with SciPy, version 7.3 read with h5py."""
+"""MATLAB files: SciPy reads files up to version 7 into memory; h5py reads files of version 7.3."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .mat_size import check_size
 from .nested import Contents, tables
 from .table import Table
 
-#: Fields of a signal with a name of its own: in dSPACE ControlDesk, and in Simulink's "structure
-#: with time".
+#: Fields (name, values, unit) of a named signal: those of dSPACE ControlDesk, and those of
+#: Simulink's "structure with time".
 _SIGNAL_FIELDS = (("Name", "Data", "Unit"), ("label", "values", "unit"))
 
 
@@ -28,15 +28,15 @@ def open_mat(path: Path) -> list[Table]:
         content = matlab.loadmat(path, simplify_cells=True)
     except NotImplementedError:
         return open_hdf5(path, "mat")
-    except Exception as error:  # SciPy raises many kinds for a broken file
+    except Exception as error:  # SciPy raises many kinds of errors for a broken file
         raise RecordError(f"{path}: not a readable MATLAB file: {error}") from None
     contents = Contents()
     _collect(
         contents, "", {name: value for name, value in content.items() if not name.startswith("__")}
     )
-    if not contents.columns and "None" in content:  # an object of a MATLAB class
+    if not contents.columns and "None" in content:  # the file holds an object of a MATLAB class
         raise RecordError(
-            f"{path}: it holds objects of a MATLAB class, such as timeseries or a Simulink "
+            f"{path}: the file holds objects of a MATLAB class, such as timeseries or a Simulink "
             f"Dataset, which only MATLAB can read. Save arrays: s = struct; s.t = x.Time; "
             f"s.i_a = x.Data; save('log.mat', '-struct', 's')"
         )

@@ -1,7 +1,7 @@
 """Check memory and nesting of a MATLAB file before SciPy reads it.
 
 SciPy unpacks the whole file and recurses into cells and structs: a deeply nested file overflows the
-stack and ends the program. Here the elements are read in the same order without recursion.
+stack and ends the program. This module reads the elements in the same order without recursion.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _COMPLEX = 0x800
 _CHUNK = 1 << 16
 #: Largest memory beyond the size of the file [bytes]: MATLAB's own limit for a variable.
 MOST = 1 << 31
-#: Bytes charged for an array in a cell or struct, even an empty one: it takes 400, and 30 µs.
+#: Bytes counted for an array in a cell or struct. Even an empty array needs 400 bytes and 30 µs.
 ARRAY = 2000
-#: Bytes of memory per byte of a text or a complex number: SciPy makes wide characters, and adds
-#: arrays of complex numbers in double precision.
+#: Bytes of memory per byte of a text or of a complex number. SciPy converts texts to wide
+#: characters, and creates additional arrays of complex numbers in double precision.
 TEXT, COMPLEX = 16, 17
 
 
@@ -53,30 +53,30 @@ def check_size(path: Path) -> None:
 
 
 class _Memory:
-    """Memory that a file may still take."""
+    """Memory that the rest of a file may need."""
 
     def __init__(self, limit: int) -> None:
         self._limit = self._available = limit
 
     def take(self, size: int) -> None:
-        """Take memory; raise ValueError if the limit is exceeded."""
+        """Count memory; raise ValueError if the limit is exceeded."""
         self._available -= size
         if self._available < 0:
             raise ValueError(
-                f"it unpacks to more than {self._limit >> 20} MB. Save only the channels, or with "
-                f"-v7.3, from which only the channels are read"
+                f"it unpacks to more than {self._limit >> 20} MB. Save only the channels, or save "
+                f"with -v7.3: of such a file, only the channels are read"
             )
 
 
 def _skip_array(elements: _Elements) -> None:
-    """Skip an array with all its contents; `opened` counts the arrays still to come per level."""
+    """Skip an array with all its contents; `opened` counts the remaining arrays of each level."""
     opened = [elements.array()]
     while opened:
         if opened[-1] == 0:
             opened.pop()
             continue
         if len(opened) > DEEPEST:
-            raise ValueError(f"cells or structs are nested more than {DEEPEST} times")
+            raise ValueError(f"cells or structs are nested more than {DEEPEST} levels deep")
         opened[-1] -= 1
         (_, size) = elements.words(2)
         if size:
@@ -92,7 +92,7 @@ class _Elements:
         self._ahead, self._at = b"", 0
 
     def take(self, size: int) -> bytes:
-        """Return the next `size` bytes; fewer at the end."""
+        """Return the next `size` bytes, or fewer at the end of the file."""
         if self._unpacker is None:
             return self._file.read(size)
         while len(self._ahead) - self._at < size and not self._unpacker.eof:
@@ -118,7 +118,7 @@ class _Elements:
             size -= len(content)
 
     def _sized(self) -> tuple[int, int]:
-        """Return the size of the next element, and with padding; four bytes fit into its tag."""
+        """Return the next element's size without and with padding; four bytes fit into the tag."""
         (kind,) = self.words(1)
         if kind >> 16:
             return kind >> 16, 4
@@ -126,7 +126,7 @@ class _Elements:
         return size, size + -size % 8
 
     def element(self, wanted: int = 0, factor: int = 1) -> bytes:
-        """Skip an element, charge its memory, and return its first `wanted` bytes."""
+        """Skip an element, count its memory, and return its first `wanted` bytes."""
         size, padded = self._sized()
         self._memory.take(factor * size)
         start = self.take(min(wanted, padded))
@@ -134,7 +134,7 @@ class _Elements:
         return start[:size]
 
     def array(self) -> int:
-        """Skip the head and the values of an array; return the number of arrays that it holds."""
+        """Skip the head and the values of an array; return the number of arrays inside."""
         flags = self.words(4)[2]
         kind = flags & 0xFF
         if kind == _OPAQUE:

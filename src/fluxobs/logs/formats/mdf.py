@@ -1,4 +1,4 @@
-"""MDF files (ASAM), read with asammdf: one table per channel group, which shares its time."""
+"""MDF files (ASAM), read with asammdf: one table per channel group, whose channels share times."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .table import BATCH, Columns, Said, Table
 
 #: Numeric data types: integers and floats in both byte orders.
 _NUMBERS = range(6)
-#: Types of data blocks compressed by zlib, the second one transposed.
+#: Types of data blocks compressed by zlib: without and with transposition.
 _DEFLATED = (1, 2)
 #: Largest data block read at once [bytes].
 BLOCK = 1 << 22
@@ -55,7 +55,7 @@ class MdfTable(Table):
         self._examined = False
 
     def _check_size(self) -> None:
-        """Raise ValueError if the rows take far more memory than the file."""
+        """Raise ValueError if the rows need far more memory than the file."""
         group = self._mdf.groups[self._group]
         size = self.rows * max(1, group.channel_group.samples_byte_nr)
         limit = most_unpacked(self.path)
@@ -96,7 +96,7 @@ class MdfTable(Table):
                 raise RecordError(
                     f"{self.path}: a channel of {', '.join(names)} holds no numbers: {error}"
                 ) from None
-            except Exception as error:  # asammdf raises many kinds for broken blocks
+            except Exception as error:  # asammdf raises many kinds of errors for broken blocks
                 raise RecordError(f"{self.path}: damaged: {error!r}") from None
 
 
@@ -104,7 +104,7 @@ def _check_formulas(path: Path, mdf: Any) -> None:
     """Raise RecordError if a conversion in the file has a formula that is not arithmetic.
 
     asammdf evaluates formulas as code. It converts more than the requested channels: the time of
-    their group, members of structures, axes of arrays. So the whole file is checked.
+    the channel group, members of structures, axes of arrays. Therefore the whole file is checked.
     """
     for group in mdf.groups:
         dependencies = getattr(group, "channel_dependencies", None) or ()
@@ -120,13 +120,13 @@ def _check_conversion(path: Path, name: str, conversion: Any) -> None:
     for formula in _formulas(conversion):
         if not is_arithmetic(formula):
             raise RecordError(
-                f"{path}: channel {name} is converted by the formula {formula[:80]!r}, "
-                f"which is not short arithmetic of X1 alone. Export it without a formula"
+                f"{path}: channel {name} is converted by the formula {formula[:80]!r}, but only "
+                f"short arithmetic of X1 is allowed. Export the channel without a formula"
             )
 
 
 def _formulas(conversion: Any) -> Iterator[str]:
-    """Yield the formulas of a conversion and of those that it refers to, even in a circle."""
+    """Yield the formulas of a conversion and of its referenced conversions, even if circular."""
     pending, seen = [conversion], set[int]()
     while pending:
         block = pending.pop()
@@ -140,7 +140,7 @@ def _formulas(conversion: Any) -> Iterator[str]:
 
 
 def _split_blocks(group: Any) -> None:
-    """Split large uncompressed data blocks of a group: each batch reads whole blocks."""
+    """Split large uncompressed data blocks of a group, because each batch reads whole blocks."""
     blocks = list(group.get_data_blocks())
     pieces = []
     for info in blocks:
@@ -163,16 +163,16 @@ def open_mdf(path: Path) -> list[Table]:
     asammdf = library("asammdf", "mdf", path)
     try:
         check_blocks(path)
-        # given a name, asammdf would read the whole file for every batch
+        # if asammdf got a name, it would read the whole file for every batch
         handle = path.open("rb")
     except OSError as error:
         raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise RecordError(f"{path}: not a readable MDF file: {error}") from None
     try:
-        # bus frames are not read, and would be converted before they are checked
+        # bus frames are not needed, and asammdf would convert them before they are checked
         mdf = asammdf.MDF(handle, process_bus_logging=False)
-    except Exception as error:  # asammdf raises many kinds for a broken file
+    except Exception as error:  # asammdf raises many kinds of errors for a broken file
         handle.close()
         raise RecordError(f"{path}: not a readable MDF file: {error}") from None
     weakref.finalize(mdf, handle.close)

@@ -1,8 +1,8 @@
 """Check the references between the blocks of an MDF file before asammdf follows them.
 
-asammdf reads a chain of blocks to its end, which a circle does not have. It creates a text, and a
-conversion within a conversion, again for each reference: two references at each of thirty levels
-make a thousand million conversions.
+asammdf reads a chain of blocks to its end, but a circle of blocks has no end. For each reference to
+a text or a nested conversion, asammdf creates a copy: two references at each of thirty levels make
+a thousand million conversions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from typing import ClassVar
 
 from ...core.input_files import BLOCK, PACKED_BLOCK, PLENTY, check_deflated
 
-#: Bytes charged for a conversion besides its size: asammdf needs a second for 64 000 of them.
+#: Bytes counted for a conversion in addition to its size. asammdf needs a second for 64 000
+#: conversions.
 CONVERSION = 4000
 
 Content = mmap.mmap | bytes
@@ -30,12 +31,12 @@ class _Layout(ABC):
     first : int
         Address of the head.
     children : dict
-        Kind of a block → indices of its links to further blocks: the next one, or the first of a
-        list.
+        Kind of a block → indices of its links to other blocks: to the next block, or to the first
+        block of a list.
     lists : tuple of bytes
         Kinds of lists of data, which channels may share.
     data : dict
-        Kind of a block → indices of its links to such lists.
+        Kind of a block → indices of its links to lists of data.
     conversion : bytes
         Kind of a conversion.
     texts : tuple of bytes
@@ -53,7 +54,7 @@ class _Layout(ABC):
         self.content = content
 
     def kind(self, address: int) -> bytes:
-        """Return the kind of the block at an address; empty outside of the file."""
+        """Return the kind of the block at an address, or nothing outside the file."""
         return self.content[address : address + len(self.conversion)]
 
     @abstractmethod
@@ -93,7 +94,7 @@ class _Version4(_Layout):
         (count,) = struct.unpack_from("<Q", self.content, address + 16)
         count = min(count, (len(self.content) - address - 24) // 8)
         links = struct.unpack_from(f"<{count}Q", self.content, address + 24)
-        if self.kind(address) == self.conversion:  # the inverse is not read; it refers back
+        if self.kind(address) == self.conversion:  # the inverse is not read, because it refers back
             return links[: self._inverse] + links[self._inverse + 1 :]
         return links
 
@@ -103,7 +104,7 @@ class _Version3(_Layout):
     conversion = b"CC"
     texts = (b"TX",)
     _counts: ClassVar = {b"HD": 3, b"DG": 2, b"CG": 3, b"CN": 5}
-    #: Offsets of the texts in a range-to-text conversion: a default, and one per range.
+    #: Offsets of the texts in a range-to-text conversion: a default text, and one text per range.
     _ranges, _texts, _range = 12, 62, 20
 
     def size(self, address: int) -> int:
@@ -122,8 +123,8 @@ class _Version3(_Layout):
 
 
 def check_blocks(path: Path) -> None:
-    """Raise ValueError if asammdf would follow the blocks of a file without end, or take far more
-    memory than they do.
+    """Raise ValueError if asammdf would follow the blocks of a file without end, or need far more
+    memory than the blocks.
     """
     with path.open("rb") as file:
         version = file.read(16)[8:9]
@@ -139,14 +140,14 @@ def check_blocks(path: Path) -> None:
 
 
 def check_packed(path: Path, blocks: Iterable[tuple[int, int, int]]) -> None:
-    """Raise ValueError if data blocks are too large, or larger than they declare.
+    """Raise ValueError if data blocks are too large, or larger than their declared size.
 
     Parameters
     ----------
     path : path
     blocks : iterable of (int, int, int)
-        Address of the content, its compressed size (0 without zlib), and its unpacked size
-        [bytes].
+        (address, compressed size, unpacked size) of the content [bytes]. The compressed size is 0
+        if zlib is not used.
     """
     with path.open("rb") as file:
         for address, packed, size in blocks:
@@ -173,7 +174,7 @@ def _compressed_unsorted(blocks: _Version4, seen: set[int]) -> Iterator[tuple[in
 
 
 def _follow_blocks(blocks: _Layout) -> set[int]:
-    """Follow all blocks; return the addresses of those that refer to others."""
+    """Follow all blocks; return the addresses of the blocks that refer to other blocks."""
     pending, seen = [blocks.first], {blocks.first}
     limit = PLENTY + len(blocks.content)
     conversions: dict[int, int] = {}
@@ -185,7 +186,7 @@ def _follow_blocks(blocks: _Layout) -> set[int]:
             if blocks.kind(child) not in blocks.children:
                 continue
             if child in seen:
-                raise ValueError("its blocks refer to one another in a circle, or twice")
+                raise ValueError("its blocks refer to one another in a circle, or twice to a block")
             seen.add(child)
             pending.append(child)
         for data in (links[n] for n in blocks.data.get(kind, ()) if n < len(links)):
@@ -199,12 +200,12 @@ def _follow_blocks(blocks: _Layout) -> set[int]:
                 _add_conversion(blocks, link, conversions)
                 texts += conversions[link]
         if texts > limit:
-            raise ValueError(f"its texts and conversions take more than {limit >> 20} MB")
+            raise ValueError(f"its texts and conversions need more than {limit >> 20} MB")
     return seen
 
 
 def _add_conversion(blocks: _Layout, address: int, sizes: dict[int, int]) -> None:
-    """Add the memory of a conversion to `sizes`, with every reference to others counted."""
+    """Add the memory of a conversion to `sizes`, including every conversion that it refers to."""
     opened: list[tuple[int, Iterator[int]]] = [(address, iter(blocks.links(address)))]
     inside, totals = {address}, {address: CONVERSION + blocks.size(address)}
     while opened:

@@ -1,4 +1,4 @@
-"""Nested data, as in MATLAB and HDF5 files: columns are named by paths, tables have one length."""
+"""Nested data, as in MATLAB and HDF5 files: paths name the columns; a table has one length."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from ..meaning.names import key, read_name
 from .table import BATCH, Columns, Said, Table
 from .timing import INTERVAL, RATE, START
 
-#: Largest number of columns of a matrix; more mean an image, or transposed data.
+#: Largest number of columns of a matrix. An array with more columns is an image, or its data are
+#: transposed.
 MOST_COLUMNS = 256
 #: Arrays with fewer rows are parameters, not signals.
 LEAST_ROWS = 8
@@ -29,7 +30,7 @@ class Contents:
     Attributes
     ----------
     columns : dict
-        Path → (rows, function that reads rows first … last - 1).
+        Path → (number of rows, function that reads rows first … last - 1).
     units : dict
     numbers : dict
         Path → scalar.
@@ -40,7 +41,7 @@ class Contents:
     numbers: dict[str, float] = field(default_factory=dict)
 
     def add(self, path: str, data: Any, unit: str | None = None) -> None:
-        """Add an array, or an object with shape and dtype that is sliced like one."""
+        """Add an array, or an object with shape and dtype that can be sliced like an array."""
         shape, kind = tuple(data.shape), np.dtype(data.dtype)
         if kind.names:
             for name in kind.names:
@@ -68,12 +69,15 @@ class Contents:
 
 
 def field_of(data: Any, name: str) -> Callable[[int, int], Any]:
-    """Return the reader of a field of a structured array."""
+    """Return the function that reads a field of a structured array."""
     return lambda first, last: data[first:last][name]
 
 
 def line_of(data: Any, axis: int | None, n: int) -> Callable[[int, int], Any]:
-    """Return the reader of column n of a matrix with rows along `axis`; None means a vector."""
+    """Return the function that reads column n of a matrix whose rows are along `axis`.
+
+    A vector has the axis None.
+    """
     if axis is None:
         return lambda first, last: data[first:last]
     if axis == 0:
@@ -109,7 +113,7 @@ def _floats(values: Any) -> Array:
 
 
 def _timing(numbers: Mapping[str, float]) -> tuple[float | None, float]:
-    """Return sample time and start from scalars with such names."""
+    """Return (sample time, start) from scalars whose names mean a sample time, rate or start."""
     interval, start = None, 0.0
     for path, value in numbers.items():
         word = key(path.rsplit("/", 1)[-1])
@@ -123,7 +127,7 @@ def _timing(numbers: Mapping[str, float]) -> tuple[float | None, float]:
 
 
 def tables(path: Path, contents: Contents) -> list[Table]:
-    """Return tables of columns of equal length; groups with their own time are separate tables."""
+    """Return tables with columns of equal length; a group with its own time is a separate table."""
     by_length: dict[int, list[str]] = defaultdict(list)
     for name, (rows, _) in contents.columns.items():
         by_length[rows].append(name)

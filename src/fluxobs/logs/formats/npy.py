@@ -13,7 +13,7 @@ from .table import Table
 
 
 class _MappedArray:
-    """Array in a file, mapped again for every read: a map keeps all pages that it has touched."""
+    """Array in a file, mapped again for every read, because a map keeps all pages once read."""
 
     def __init__(self, path: Path, array: np.ndarray[Any, Any]) -> None:
         self.path, self.shape, self.dtype = path, array.shape, array.dtype
@@ -26,7 +26,7 @@ class _MappedArray:
 
 
 def numbers_of(kind: np.dtype[Any]) -> np.dtype[Any]:
-    """Return a type without its fields that are neither one number nor a stamp per row."""
+    """Return a type with only the fields that hold one number or one time stamp per row."""
     names = [name for name in kind.names or () if kind[name].kind in "fiubMm"]
     return kind[names] if kind.names else kind
 
@@ -35,7 +35,7 @@ def open_npy(path: Path, header: list[str] | None = None) -> list[Table]:
     """Open the table of an array, which stays in its file."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except Exception as error:  # NumPy raises many kinds for a broken header, even SyntaxError
+    except Exception as error:  # NumPy raises many kinds of errors for a broken header
         raise RecordError(f"{path}: not a readable .npy file: {error}") from None
     contents = Contents()
     if array.dtype.names:

@@ -1,4 +1,4 @@
-"""NumPy .npz archives: one array per column, or matrices with several."""
+"""NumPy .npz archives: one array per column, or matrices with several columns."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HEADS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
 class _Member:
-    """Array of an archive, unpacked at the first read: most are not needed."""
+    """Array of an archive, unpacked at the first read, because most arrays are not needed."""
 
     def __init__(self, path: Path, archive: zipfile.ZipFile, name: str) -> None:
         self._path, self._name = path, name
@@ -33,11 +33,11 @@ class _Member:
             version = npy.read_magic(file)
             if version in _HEADS:
                 self.shape, _, self.dtype = _HEADS[version](file)
-        if version not in _HEADS:  # field names in other scripts
+        if version not in _HEADS:  # headers of version 3 may have field names in other scripts
             array = self[...]
             self.shape, self.dtype = array.shape, array.dtype
         if math.prod(self.shape) * self.dtype.itemsize > LARGEST:
-            raise ValueError(f"its array {name} of shape {self.shape} is larger than memory may be")
+            raise ValueError(f"its array {name} of shape {self.shape} is too large for memory")
 
     def __len__(self) -> int:
         return int(self.shape[0])
@@ -70,6 +70,6 @@ def open_npz(path: Path) -> list[Table]:
                 if not member.dtype.hasobject:
                     member.dtype = numbers_of(member.dtype)
                     contents.add(name.removesuffix(".npy"), member)
-    except Exception as error:  # zipfile, zlib and NumPy raise many kinds for a broken file
+    except Exception as error:  # zipfile, zlib and NumPy raise many kinds of errors
         raise RecordError(f"{path}: not a readable .npz file: {error}") from None
     return tables(path, contents)

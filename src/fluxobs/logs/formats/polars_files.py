@@ -36,15 +36,15 @@ class FrameTable(Table):
         except BROKEN as error:
             raise RecordError(f"{path}: not a readable {format_name} file: {error}") from None
         self.columns = list(self._schema.names())
-        # each read maps the file and keeps the touched pages, or unpacks batches again
+        # Each read maps the file and keeps the pages once read, or unpacks batches again.
         self._mapped = mapped and self._plain_size() <= path.stat().st_size
 
     def _check_size(self, names: Sequence[str]) -> None:
-        """Raise RecordError if whole columns unpack to far more than their file."""
+        """Raise RecordError if whole columns unpack to far more bytes than the file has."""
         if (unpacked := 8 * self.rows * len(set(names))) > self._limit:
             raise RecordError(
                 f"{self.path}: columns {', '.join(names)} unpack to {unpacked} bytes, more than "
-                f"{self._limit}: their values repeat. If it is a log, save it as .npy"
+                f"{self._limit}: the values repeat. If the file is a log, save it as .npy"
             )
 
     def _plain_size(self) -> int:
@@ -53,7 +53,7 @@ class FrameTable(Table):
         return self.rows * sum(int(column.to_numpy().dtype.itemsize) for column in numbers)
 
     def _stamps_as_seconds(self) -> list[pl.Expr]:
-        """Return expressions of stamps in seconds since the first one."""
+        """Return expressions of time stamps in seconds since the first stamp."""
         stamps = [name for name, kind in self._schema.items() if kind.is_temporal()]
         if not stamps or not self.rows:
             return []
@@ -91,7 +91,7 @@ def _nanoseconds(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
 
 
 def _source(path: Path) -> Source:
-    """Return the path, or the content where the name is not UTF-8: Polars cannot open it."""
+    """Return the path, or the content if the name is not UTF-8: Polars cannot open such a name."""
     try:
         str(path).encode("utf-8")
     except UnicodeEncodeError:
@@ -116,12 +116,12 @@ def open_arrow(path: Path) -> list[Table]:
 
 
 def open_json(path: Path) -> list[Table]:
-    """Open the table of a JSON file, an object of columns or a list of rows; read it at once."""
+    """Read the whole table of a JSON file, which is an object of columns or a list of rows."""
     return [FrameTable(path, _json, "JSON table")]
 
 
 def open_json_lines(path: Path) -> list[Table]:
-    """Open the table of a file with a JSON object per line."""
+    """Open the table of a file with one JSON object per line."""
     return [FrameTable(path, pl.scan_ndjson, "JSON lines")]
 
 

@@ -15,26 +15,26 @@ from ...errors import RecordError
 
 Columns = dict[str, Array]
 
-#: Default rows per batch: small enough to reuse memory instead of mapping it again.
+#: Default rows per batch: small enough that memory is reused, not mapped again.
 BATCH = 50_000
 
 
 @dataclass(frozen=True)
 class Said:
-    """Metadata of a file: what it states besides names and numbers.
+    """Metadata of a file: all that the file states besides names and numbers.
 
     Attributes
     ----------
     units : dict
-        Column → unit, as written.
+        Column → unit as written in the file.
     time : str, optional
         Time column.
     sample_time : float, optional
-        [s], if the header states it or the rate.
+        Sample time [s], if the header states this time or the sample rate.
     start : float
-        Time of the first row [s], to which sample_time adds the rest.
+        Time of the first row [s]; the other times follow from sample_time.
     notes : tuple of str
-        Remarks for the user, e.g. on lines left out.
+        Notes for the user, e.g. on omitted lines.
     """
 
     units: dict[str, str] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Table(ABC):
         A column in a group has the path "group/column".
     rows : int
     random_access : bool
-        Whether rows in the middle can be read without those before them.
+        Whether rows in the middle can be read without the rows before.
     said : Said
     """
 
@@ -70,16 +70,16 @@ class Table(ABC):
     ) -> Iterator[Columns]:
         """Yield columns of rows first … last - 1 in order; missing values are NaN.
 
-        Raise RecordError with file, column and place if a value is not a number.
+        Raise RecordError, which names file, column and place, if a value is not a number.
         """
 
     def expect(self, names: Sequence[str]) -> None:  # noqa: B027  (most formats need not know)
-        """Announce columns that will all be read: a format that parses whole files for one column
-        reads them together.
+        """Announce columns that will all be read. A format that parses the whole file for each
+        column then reads them together.
         """
 
     def place(self, row: int) -> str:
-        """Return where a person finds a row in the file."""
+        """Return the place of a row in the file, for a message."""
         return f"row {row + 1}"
 
 
@@ -99,13 +99,13 @@ def missing_column(
     option: str,
     also: Sequence[str] = (),
 ) -> RecordError:
-    """Return the error for a missing column, with the nearest columns or the first 40, and other
-    missing channels.
+    """Return the error for a missing column. The message lists the nearest columns or the first 40
+    columns, and other missing channels.
     """
     near = difflib.get_close_matches(name, columns, n=3, cutoff=0.4)
-    hint = f"nearest: {', '.join(near)}" if near else f"it has: {', '.join(columns[:40])}"
+    hint = f"nearest: {', '.join(near)}" if near else f"the file has: {', '.join(columns[:40])}"
     return RecordError(
         f"{path}: no column {name!r} for the channel {channel}; {hint}. "
-        f"Name it with {option} {channel}=COLUMN"
+        f"Name the column with {option} {channel}=COLUMN"
         + (f"; {' and '.join(also)} {'is' if len(also) == 1 else 'are'} missing too" * bool(also))
     )

@@ -1,4 +1,4 @@
-"""TDMS files (National Instruments), read with npTDMS: one table per set of shared times."""
+"""TDMS files (National Instruments), read with npTDMS: channels of one table share their times."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class TdmsTable(Table):
         for start in range(first, last, size):
             try:
                 yield {n: self._values(n, start, min(size, last - start)) for n in names}
-            except Exception as error:  # npTDMS raises many kinds for a broken file
+            except Exception as error:  # npTDMS raises many kinds of errors for a broken file
                 raise RecordError(f"{self.path}: reading failed midway: {error}") from None
 
     def _values(self, name: str, start: int, count: int) -> Array:
         values = self._channels[name].read_data(start, count)
-        if values.dtype.kind == "M":  # stamps, as seconds since the first one
+        if values.dtype.kind == "M":  # convert stamps to seconds since the first stamp
             origin = self._channels[name].read_data(0, 1)[0]
             values = (values - origin) / np.timedelta64(1, "s")
         if len(values) < count:
@@ -62,7 +62,7 @@ def open_tdms(path: Path) -> list[Table]:
         raise RecordError(f"{path}: cannot be read: {error.strerror}") from None
     try:
         file = nptdms.TdmsFile.open(handle)
-    except Exception as error:  # npTDMS raises many kinds for a broken file
+    except Exception as error:  # npTDMS raises many kinds of errors for a broken file
         handle.close()
         raise RecordError(f"{path}: not a readable TDMS file: {error}") from None
     weakref.finalize(file, handle.close)

@@ -19,7 +19,7 @@ INTERVAL = _words(
 )
 RATE = _words("samplerate samplingrate samplingfrequency samplefrequency fs rate samplespersecond")
 START = _words("t0 xorigin x0 xorg hoffset xzero firstx start timeoffset horizoffset tstart")
-#: Value and unit: "1.0e-6 s", "2 MS/s", "10kHz".
+#: A value with a unit, such as "1.0e-6 s", "2 MS/s" or "10kHz".
 _VALUE_UNIT = re.compile(r"^([-+]?[\d.,]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµμ/]*)$")
 _RATES = {"": 1.0, "hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9}
 _RATES |= {"sa/s": 1.0, "ksa/s": 1e3, "msa/s": 1e6, "gsa/s": 1e9}
@@ -27,7 +27,7 @@ _RATES |= {"s/s": 1.0, "ks/s": 1e3, "ms/s": 1e6, "gs/s": 1e9, "sps": 1.0, "ksps"
 
 
 def seconds_from(value: str, name: str) -> float | None:
-    """Return a time [s] from its text; the unit follows it, or is in brackets in the name."""
+    """Return a time [s] from its text; the unit follows the value, or is in brackets in `name`."""
     match = _VALUE_UNIT.match(value.strip())
     if not match:
         return None
@@ -37,7 +37,7 @@ def seconds_from(value: str, name: str) -> float | None:
 
 
 def interval_from(value: str, name: str) -> float | None:
-    """Return a sample time [s] from its text; None unless positive."""
+    """Return a sample time [s] from its text, or None if the sample time is not positive."""
     interval = seconds_from(value, name)
     return interval if interval is not None and interval > 0 else None
 

@@ -10,21 +10,21 @@ from .arrays import ArrayTable
 from .extras import library
 from .table import Said, Table
 
-#: Largest number of fields of all topics; a flight has about ten thousand.
+#: Largest number of fields of all topics; the log of a flight has about ten thousand.
 FIELDS = 1 << 18
-#: Deepest nesting of types; a type that contains itself has no end.
+#: Deepest nesting of types; a type that contains itself is nested without end.
 DEPTH = 32
 
 
 def open_ulog(path: Path) -> list[Table]:
-    """Open the tables of the topics, with columns "topic/field", or "topic[1]/field" of a further
-    instance.
+    """Open the tables of the topics. Columns are "topic/field", or "topic[1]/field" for a second
+    instance of a topic.
     """
     pyulog = library("pyulog", "ulog", path)
     try:
         with path.open("rb") as file:
             data = _limited_reader(pyulog)(file).data_list
-    except Exception as error:  # pyulog raises many kinds for a broken file
+    except Exception as error:  # pyulog raises many kinds of errors for a broken file
         raise RecordError(f"{path}: not a readable ULog file: {error}") from None
     tables: list[Table] = []
     for topic in data:
@@ -39,9 +39,10 @@ def open_ulog(path: Path) -> list[Table]:
 
 
 def _limited_reader(pyulog: Any) -> Any:
-    """Return pyulog's reader with a limit on the fields of topics before it lists them.
+    """Return pyulog's reader, but with a limit on the number of fields, checked before listing.
 
-    A field may be an array of sixty thousand elements of a type with such a field.
+    Nested types could have very many fields: a field may be an array of sixty thousand elements,
+    and the type of an element may have such an array again.
     """
     fields, topic_class = 0, pyulog.ULog._MessageAddLogged
 
@@ -57,7 +58,7 @@ def _limited_reader(pyulog: Any) -> Any:
 
 
 def _count_fields(types: Any, name: str, basic: Any, counts: dict[str, int], depth: int) -> int:
-    """Count the fields of a type with those of nested types, at most `depth` levels."""
+    """Count the fields of a type, including those of nested types up to `depth` levels."""
     if depth == 0:
         raise MemoryError(f"its types are nested more than {DEPTH} levels deep")
     if name not in counts:

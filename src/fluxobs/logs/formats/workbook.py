@@ -1,4 +1,4 @@
-"""Check the size of a workbook before it is read: the reader allocates all cells up to the last."""
+"""Check the size of a workbook before reading: a reader allocates all cells up to the last cell."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from xml.parsers import expat
 from ...core.input_files import most_unpacked
 from ...errors import RecordError
 
-#: Largest number of cells of all sheets together, up to the last row and column with content: the
-#: longest Excel sheet with 32 columns, which takes a gigabyte.
+#: Largest number of cells of all sheets together, up to the last row and column with content. The
+#: longest Excel sheet with 32 columns has this many cells, and needs a gigabyte.
 CELLS = 1 << 25
-#: Largest unpacked size of a workbook [bytes]: that of CELLS cells of numbers.
+#: Largest unpacked size of a workbook [bytes]: the size of CELLS cells of numbers.
 BYTES = 1 << 30
 _CHUNK = 1 << 20
 #: Elements of an Excel cell with content; other cells are blank.
@@ -25,7 +25,7 @@ _UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, 
 
 
 def unpacked_size(path: Path) -> int:
-    """Return the unpacked size of an .xlsx or .ods file [bytes]; raise RecordError if too large."""
+    """Return the unpacked size [bytes] of an .xlsx or .ods file; refuse too large files."""
     try:
         with zipfile.ZipFile(path) as book:
             size = sum(part.file_size for part in book.infolist())
@@ -46,7 +46,7 @@ def check_cells(path: Path) -> None:
     except (*_UNREADABLE, expat.ExpatError) as error:
         raise _unreadable(path, error) from None
     if cells > CELLS:
-        raise _too_large(path, f"{cells} cells up to the last one with content", CELLS)
+        raise _too_large(path, f"{cells} cells up to the last cell with content", CELLS)
 
 
 def _unreadable(path: Path, error: Exception) -> RecordError:
@@ -55,13 +55,13 @@ def _unreadable(path: Path, error: Exception) -> RecordError:
 
 def _too_large(path: Path, size: str, limit: int) -> RecordError:
     return RecordError(
-        f"{path}: it has {size}, more than {limit}. Remove cells apart from the table, or save the "
-        f"sheet as CSV"
+        f"{path}: the workbook has {size}, more than {limit}. Remove the cells outside the table, "
+        f"or save the sheet as CSV"
     )
 
 
 def _count_cells(book: zipfile.ZipFile, part: zipfile.ZipInfo, extent: _Extent) -> int:
-    """Count the cells of a part of a workbook; any part may be a sheet, whatever its name."""
+    """Count the cells of a part of a workbook; a part with any name may be a sheet."""
     with book.open(part) as file:
         if not _contains(file, extent.mark):
             return 0
@@ -83,7 +83,7 @@ def _contains(file: IO[bytes], mark: bytes) -> bool:
 
 
 def _refuse_doctype(*_: Any) -> None:
-    raise ValueError("a sheet has no document type")
+    raise ValueError("a sheet must not have a document type")
 
 
 @lru_cache(20_000)
@@ -107,7 +107,7 @@ class _Extent:
     mark = b"sheetData"
 
     def __init__(self) -> None:
-        self.row = self.column = 0  # where the parser is
+        self.row = self.column = 0  # position of the parser
         self.rows = self.columns = 0
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
@@ -134,7 +134,7 @@ class _Extent:
 
 
 class _OpenExtent(_Extent):
-    """Last rows and columns of the sheets of an OpenDocument, with repeated rows and cells."""
+    """Last rows and columns with content in an OpenDocument, with repeated rows and cells."""
 
     mark = b"table:table-row"
 

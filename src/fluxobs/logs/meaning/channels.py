@@ -1,4 +1,4 @@
-"""List the columns of files, with the channel guessed for each."""
+"""List the columns of files, with the channel guessed for each column."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .guess import ROTATING, Columns, NamedTable, guess, name_columns
 from .names import read_name
 from .units import factor
 
-#: Rows that range and sample time are taken from, and values shown.
+#: Number of rows from which range and sample time are computed, and number of values shown.
 ROWS, SHOWN = 50_000, 3
 
 
@@ -26,12 +26,12 @@ class Channel:
     ----------
     column : str
     unit : str
-        From the file or the name; empty if neither has one.
+        From the file or from the column's name; empty if no unit is given.
     rows : int
     sample_time : float or None
-        Of its table [s].
+        Sample time of the column's table [s].
     low, high : float
-        Range of its first 50 000 rows; NaN for columns without numbers.
+        Range of the first 50 000 rows; NaN for a column without numbers.
     first : tuple of float
     taken_for : str
         Guessed channel; empty if the column would not be used.
@@ -62,7 +62,7 @@ class Channel:
 
 @dataclass(frozen=True)
 class Listing:
-    """Columns of files, and notes on the layout guessed from all of them."""
+    """Columns of files, and notes on the layout guessed from all columns."""
 
     channels: tuple[Channel, ...]
     notes: tuple[str, ...]
@@ -118,7 +118,7 @@ def _channel(named: NamedTable, name: str, columns: Columns, taken_for: str) -> 
     rows = min(ROWS, table.rows)
     try:
         values = read_rows(table, [column], 0, rows)[column] if rows else np.zeros(0)
-    except FluxobsError:  # text, for example
+    except FluxobsError:  # for example, the column holds text
         values = np.full(rows, np.nan)
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (np.nan, np.nan)

@@ -1,7 +1,7 @@
-"""Guess which channels the columns of a log hold, where the user does not say it.
+"""Guess which channels the columns of a log hold, if the user does not name the columns.
 
-Names and units decide; failing these, the values of columns with known units. `notes` states every
-guess, so that the user can check it.
+Names and units decide. If they do not suffice, the values of columns with known units decide.
+`notes` states every guess, so that the user can check it.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from . import units
 from .layout import CONVERTING, NO_COLUMN, NO_TRUTH, keys_for
 from .names import Named, is_setpoint, leaf, read_name
 
-#: Rows examined.
+#: Number of rows examined.
 ROWS = 20_000
 #: Frames in which rotating machines are logged, in order of preference.
 ROTATING: tuple[Frame, ...] = ("alphabeta", "abc", "line", "duty", "dq")
-#: Range of plausible time steps [s]. It spans a factor of a thousand, so only one unit fits.
+#: Range of plausible time steps [s]. It spans a factor of 1000, so that only one unit fits.
 STEPS = (2e-5, 2e-2)
 #: Cosines of the angles between two signals, and the tolerance for noise and offsets.
 BETWEEN = {"phases": -0.5, "axes": 0.0}
 NEAR = 0.2
-#: A duty below minus this ranges over −1 … 1.
+#: If a duty is below minus this value, duties range from −1 to 1.
 NEGATIVE = 0.02
-#: Size of a full turn, where an angle wraps → its unit.
+#: Value at which an angle wraps, a full turn → unit of the angle.
 TURNS = {
     360.0: "deg",
     1.0: "turn",
@@ -45,13 +45,13 @@ TURNS = {
     8192.0: "counts:8192",
     4096.0: "counts:4096",
 }
-#: A duty above the first is not a share of the DC link, but may be in percent, up to the second.
+#: A duty above DUTY_MOST is not a share of the DC link; up to PERCENT, it may be in percent.
 DUTY_MOST, PERCENT = 1.5, 100.0
 
 
 @dataclass(frozen=True)
 class NamedTable:
-    """Table of a log, and the names of its columns within the log."""
+    """Table of a log, and the names that the table's columns have in the log."""
 
     table: Table
     columns: dict[str, str]  # name in the log → column of the table
@@ -63,7 +63,7 @@ class NamedTable:
 
 
 def name_columns(files: Sequence[tuple[Path, list[Table]]]) -> list[NamedTable]:
-    """Name the columns of all tables: unchanged, or "file/column" if files share the name."""
+    """Name the columns of all tables: keep a name, or use "file/column" if the name repeats."""
     count: dict[str, int] = {}
     for _, tables in files:
         for table in tables:
@@ -83,9 +83,9 @@ class Guess:
     Attributes
     ----------
     fields : dict
-        Fields of a layout, completed.
+        Complete fields of a layout.
     channels : dict
-        Channel → name of its column; the truth is in `fields`.
+        Channel → name of its column. The truth channel is in `fields`.
     columns : Columns
     notes : list of str
     """
@@ -133,7 +133,7 @@ class Columns:
             self.by_channel[channel] = [self.resolve(name)]
 
     def _name_by_file(self, named: NamedTable) -> None:
-        """Take the channel of a file's only signal from the file name."""
+        """If a file has only one signal, find the signal's channel in the file name."""
         times = self.by_channel.get("t", [])
         values = [name for name in named.columns if name not in times]
         if len(self.tables) > 1 and len(values) == 1:
@@ -143,7 +143,7 @@ class Columns:
                 self.by_channel.setdefault(channel, []).append(name)
 
     def resolve(self, name: str) -> str:
-        """Return a column by its name, or by the end of its path if that is unique."""
+        """Return a column by its name, or by the end of its path if this end is unique."""
         if name in self.table_of:
             return name
         matches = [column for column in self.table_of if column.endswith((f"/{name}", f".{name}"))]
@@ -157,7 +157,7 @@ class Columns:
 
 
 def _count_from_one(names: Iterable[str]) -> dict[str, str]:
-    """Renumber triples counted from zero, such as x[0] x[1] x[2], from one."""
+    """Number triples from one if they are numbered from zero, such as x[0] x[1] x[2]."""
     stems: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
         if match := _COUNTED.match(name):
@@ -170,9 +170,9 @@ def _count_from_one(names: Iterable[str]) -> dict[str, str]:
     }
 
 
-#: Names of columns without a name, such as the index of a data frame.
+#: Names of columns that have no real name, such as the index of a data frame.
 _NAMELESS = re.compile(r"^(column 1|unnamed: 0|index|)$", re.IGNORECASE)
-#: A name that ends in a digit, in brackets or not, before a unit or not.
+#: A name that ends in a digit. The digit may be in brackets, and a unit may follow.
 _COUNTED = re.compile(r"^(.*?)(\d)([\])]?(?:\s*[\[({/,].*)?)$")
 _CHANNEL_NAMES = (
     *("t", "theta_e", "theta_mech", "position", "speed_mech", "speed_e"),
@@ -196,7 +196,7 @@ def guess(
     Raises
     ------
     RecordError
-        The columns fill no frame, or a column has a unit that its channel cannot have.
+        No frame has all its columns, or a column has a unit that its channel cannot have.
     """
     given = {
         channel: name
@@ -230,9 +230,9 @@ def guess(
 
 
 def _needed(frame: Frame, columns: Columns, fields: Mapping[str, Any]) -> list[str]:
-    """Return the channels of a frame, with the third phase current if there is one."""
+    """Return the channels of a frame, including the third phase current if its column exists."""
     voltages = [name for name in VOLTAGES[frame] if name != "udc" or "udc" not in fields]
-    if frame in ("abc", "line"):  # two of three suffice
+    if frame in ("abc", "line"):  # two of three voltages suffice
         present = [name for name in voltages if columns.has_channel(name)]
         minimum = 2 if frame == "line" or len(present) >= 2 else 3
         voltages = present if len(present) >= minimum else voltages[:minimum]
@@ -247,7 +247,7 @@ def _needed(frame: Frame, columns: Columns, fields: Mapping[str, Any]) -> list[s
 
 
 def _current_frame(frame: Frame, columns: Columns, fields: Mapping[str, Any]) -> Frame | None:
-    """Return the frame of the currents: the user's, the voltages', or another with columns."""
+    """Return the frame of the currents: the user's, that of the voltages, or one with columns."""
     if fields.get("currents") is not None or frame == "ports":
         given: Frame | None = fields.get("currents")
         return given
@@ -267,7 +267,7 @@ def _is_filled(frame: Frame, columns: Columns, fields: Mapping[str, Any]) -> boo
 
 
 def _nearest_frame(columns: Columns, frames: Sequence[Frame], fields: Mapping[str, Any]) -> Frame:
-    """Return the frame with the most channels; the error names its first missing channel."""
+    """Return the frame with the most channels, so that the error names the missing channel."""
 
     def share(frame: Frame) -> float:
         voltages, currents = VOLTAGES[frame][:3], CURRENTS[frame]
@@ -285,7 +285,7 @@ def _nearest_frame(columns: Columns, frames: Sequence[Frame], fields: Mapping[st
     ]
     raise RecordError(
         f"{path}: currents and voltages are not found among its columns: {', '.join(named[:40])}. "
-        f"Name them, e.g. --frame abc --column u_a=… u_b=… u_c=… i_a=… i_b=…; "
+        f"Name the columns, e.g. --frame abc --column u_a=… u_b=… u_c=… i_a=… i_b=…; "
         f"`fluxobs channels {path}` shows the guess for each column"
     )
 
@@ -312,7 +312,7 @@ def _take_time(columns: Columns, fields: Mapping[str, Any], result: Guess) -> No
 
 
 def _looks_like_time(values: Array) -> bool:
-    """Return whether values rise by similar steps, and do not merely count rows."""
+    """Return whether values rise by similar steps, but are not row numbers."""
     steps = np.diff(values)
     if len(steps) < 10 or not np.isfinite(steps).all() or not steps.min() > 0:
         return False
@@ -321,7 +321,7 @@ def _looks_like_time(values: Array) -> bool:
 
 
 def _is_index(named: NamedTable, name: str) -> bool:
-    """Return whether a column only counts rows of a file that states the sample time."""
+    """Return whether a column holds only row numbers and the file states the sample time."""
     if named.table.said.sample_time is None:
         return False
     head = named.read(name, rows=1000)
@@ -329,7 +329,7 @@ def _is_index(named: NamedTable, name: str) -> bool:
 
 
 def base_table(columns: Columns, channels: Mapping[str, str]) -> NamedTable:
-    """Return the table of the first current."""
+    """Return the table that contains the first current."""
     name = next((column for channel, column in channels.items() if channel.startswith("i_")), "")
     return columns.table_of.get(name, columns.tables[0])
 
@@ -355,7 +355,7 @@ def _take_truth(columns: Columns, frame: Frame, fields: Mapping[str, Any], resul
             result.fields["truth"] = {channel: columns.column_of(channel)}
             return
     if columns.has_channel("theta") and columns.column_of("theta") not in used:
-        # its values decide whether it is electrical or mechanical
+        # the angle's values decide whether the angle is electrical or mechanical
         result.fields["truth"] = {"theta": columns.column_of("theta")}
     elif columns.has_channel("sin") and columns.has_channel("cos"):
         result.fields["truth"] = {
@@ -371,7 +371,7 @@ def _take_truth(columns: Columns, frame: Frame, fields: Mapping[str, Any], resul
 
 
 def _take_units(columns: Columns, result: Guess) -> None:
-    """Take units from the file, from names, or else from values."""
+    """Find the units in the file, or in the names, or else guess them from the values."""
     fields = result.fields
     chosen = dict(fields.get("unit", {}))
     truth = {} if "theta" in fields.get("truth", {}) else fields.get("truth", {})
@@ -392,8 +392,8 @@ def _take_units(columns: Columns, result: Guess) -> None:
             scale = {"current": "AMPERES_PER_VOLT", "voltage": "VOLTS_PER_AMPERE"}.get(kind, "…")
             raise RecordError(
                 f"{columns.tables[0].table.path}: the column {name!r} is taken as {channel}, but "
-                f"is in {unit}. Give the scale of the probe, --scale {channel}={scale}, or "
-                f"the right column, --column {channel}=COLUMN"
+                f"is in {unit}. Give the scale of the probe (--scale {channel}={scale}), or "
+                f"the right column (--column {channel}=COLUMN)"
             )
         elif guessed := _unit_by_values(channel, columns.table_of[name].read(name)):
             chosen[channel] = guessed
@@ -411,7 +411,7 @@ _UNIT_NOTES = {
 
 
 def _has_conversion(channel: str, fields: Mapping[str, Any]) -> bool:
-    """Return whether the user gave a unit, a converter or a scale."""
+    """Return whether the user gave a unit, a converter or a scale for the channel."""
     return any(key in fields.get(table, {}) for table in CONVERTING for key in keys_for(channel))
 
 
@@ -437,7 +437,7 @@ def _unit_by_values(channel: str, values: Array) -> str | None:
 
 
 def turn_of(angle: Array) -> str | None:
-    """Return the unit of an angle from its wraps; None for radians, or without wraps."""
+    """Return the unit of an angle from its wraps, or None for radians or if it never wraps."""
     steps = np.abs(np.diff(angle))
     steps = steps[np.isfinite(steps)]
     if len(steps) == 0 or not steps.max() > 0:
@@ -454,7 +454,7 @@ def turn_of(angle: Array) -> str | None:
 
 
 def _frame_by_values(columns: Columns, frames: Sequence[Frame], result: Guess) -> Frame | None:
-    """Assign currents and voltages in the order of the file, if units distinguish them."""
+    """If units distinguish currents and voltages, assign them in the order of the file."""
     if "abc" not in frames:
         return None
     sets: dict[str, list[str]] = {"current": [], "voltage": []}
@@ -477,8 +477,8 @@ def _frame_by_values(columns: Columns, frames: Sequence[Frame], result: Guess) -
     for channel, name in zip((*names, *CURRENTS[frame]), (*voltages, *currents), strict=False):
         columns.by_channel[channel] = [name]
     note = (
-        "units and angles between columns identify currents and voltages; their order is taken "
-        "from the file. `fluxobs check` tests it"
+        "units and angles between columns identify currents and voltages; the order of phases is "
+        "taken from the file. `fluxobs check` tests this order"
     )
     if frame != "alphabeta" and len(voltages) == 3:
         note += ", and whether the voltages are line-to-line"
@@ -487,7 +487,7 @@ def _frame_by_values(columns: Columns, frames: Sequence[Frame], result: Guess) -
 
 
 def _select_alternating(columns: Columns, names: Sequence[str]) -> list[str]:
-    """Return the columns whose standard deviation exceeds half of their mean."""
+    """Return the columns whose standard deviation exceeds half of the mean value."""
     alternating = []
     for name in names:
         values = columns.table_of[name].read(name)
@@ -498,7 +498,7 @@ def _select_alternating(columns: Columns, names: Sequence[str]) -> list[str]:
 
 
 def _arrangement(columns: Columns, names: Sequence[str]) -> str | None:
-    """Return whether columns are phases, 120° apart, or axes, 90° apart; None if neither."""
+    """Return "phases" for columns 120° apart, "axes" for columns 90° apart, and None otherwise."""
     if len(names) not in (2, 3):
         return None
     values = [columns.table_of[name].read(name) for name in names]
@@ -519,7 +519,7 @@ def _arrangement(columns: Columns, names: Sequence[str]) -> str | None:
 
 
 def _note_columns(fields: Mapping[str, Any], columns: Columns, result: Guess) -> None:
-    """Note the columns that were guessed, unless all are named as their channels."""
+    """Note the guessed columns, unless all columns have the names of their channels."""
     given = fields.get("columns", {})
     assignments = []
     plain = True
@@ -555,7 +555,7 @@ def _note_columns(fields: Mapping[str, Any], columns: Columns, result: Guess) ->
 
 
 def electrical_or_mechanical(angle: Array, vector: NDArray[np.complex128]) -> str:
-    """Return "theta_e" if an angle [rad] turns as fast as the current, "theta_mech" if slower."""
+    """Return "theta_e" if an angle [rad] turns as fast as the current, else "theta_mech"."""
     finite = np.isfinite(angle) & np.isfinite(vector)
     if finite.sum() < 10:
         return "theta_e"

@@ -23,15 +23,15 @@ CHANNELS = tuple(
         + ["theta_e", "theta_mech", "position", "speed_mech", "speed_e"]
     )
 )
-#: Truth channels; hall and sincos are read from several columns, separated by commas.
+#: Truth channels; hall and sincos are read from several columns, whose names commas separate.
 TRUTHS = ("theta_e", "theta_mech", "position", "speed_mech", "speed_e", "hall", "sincos")
-#: Truth that means: use none, even if a column looks like one.
+#: Name of a truth that means: use no truth, even if a column looks like a truth.
 NO_TRUTH = "none"
-#: Column name that means: ignore an existing column (for t).
+#: Name of a column of t that means: ignore an existing column t.
 NO_COLUMN = "-"
 #: Groups of channels in `unit` and `adc` → first letters of their names.
 GROUPS = {"i": "i_", "u": "u_", "duty": "d_", "theta": "theta", "speed": "speed"}
-#: Fields that convert a column into its channel; a channel may have one of them.
+#: Fields that convert a column into its channel; a channel may be in only one of these fields.
 CONVERTING = ("unit", "adc", "scale")
 
 Align = Literal["time", "index", "auto"]
@@ -40,9 +40,9 @@ Align = Literal["time", "index", "auto"]
 class Layout(BaseModel):
     """How to read a log: the fields of a record TOML, and the options of the same names.
 
-    A channel's value is ``scale · column + offset``, in SI. A channel that `columns` lacks is read
-    from the column of the same name, or from one with a synonymous name.
-    `columns` t = "-" ignores a column t.
+    A channel's value is ``scale · column + offset``, in SI. If a channel is not in `columns`, it is
+    read from the column with the channel's name or with a synonymous name. With `columns` t = "-",
+    a column t is ignored.
 
     Parameters
     ----------
@@ -50,50 +50,52 @@ class Layout(BaseModel):
         "alphabeta", "abc" (amplitude-invariant Clarke; two phase currents suffice), "line"
         (two line-to-line voltages of u_ab, u_bc, u_ca), "duty" (duty cycles 0…1 and udc), "dq"
         (with theta_e, the angle used for the rotation), "ports" (u_1 u_2 i_1 i_2, the coils
-        themselves). Default: the first of these that the columns fill.
+        themselves). Default: the first of these frames for which all columns exist.
     currents : str, optional
         Frame of the currents, if it differs from `frame`: "alphabeta", "abc" or "dq".
     sample_time : float, optional
-        [s]; needed if there is no column t and the file does not state it.
+        Sample time [s]; needed if there is no column t and the file does not state it.
     lag : float
-        Interval over which a row's voltage acts, in samples: 0 from that row to the next, -1 one
-        sample later, +1 one earlier; fractions are allowed.
+        Interval over which a row's voltage acts, in samples. With 0, it acts from its row to the
+        next; with -1, one sample later; with +1, one sample earlier. Fractions are allowed.
     held : bool, optional
-        Whether each voltage is held over its sample, as an inverter's mean voltage is. Default: yes
-        if it matters for the machine (R h/L above 0.15) and the lag is a whole number.
+        Whether each voltage is constant over its sample, like the mean voltage of an inverter.
+        Default: yes if this matters for the machine (R h/L above 0.15) and the lag is a whole
+        number.
     udc : float, optional
-        DC-link voltage [V] if it has no column (frame "duty").
+        DC-link voltage [V] if no column holds this voltage (frame "duty").
     columns : dict
         Channel → column name.
     unit : dict
-        Channel, or i, u, duty, theta, speed for a group of them → unit: mA, ms, deg, rpm, % …;
+        Channel, or i, u, duty, theta, speed for a group of channels → unit: mA, ms, deg, rpm, % …;
         counts:4096 (of a turn, or of a duty of one); ticks:170e6 (t, of a clock in Hz); q8 (fixed
         point with eight fractional bits). Default: the unit in the file or in the column's name.
     adc : dict
-        Channel, or i or u for a group → "bits,range,zero" of its converter: the range [SI] that all
-        counts span, and the count at zero (default: half of all counts).
+        Channel, or i or u for a group → "bits,range,zero" of the converter. All counts span the
+        range [SI]; zero is the count at zero (default: half of all counts).
     scale, offset : dict
         Channel → number; a scale replaces a unit.
     truth : dict
         One of: {"theta_e": column} (electrical), {"theta_mech": column} (mechanical), {"sincos":
         "column,column"} (sine and cosine of the mechanical angle), {"hall": "column,column,column"}
         or {"hall": column} (its code, 1…6), {"speed_mech": column}, {"speed_e": column} [rad/s],
-        {"position": column} [m] of a levitated body; for scoring. {"none": "-"}: no truth, even if
-        a column looks like one.
+        {"position": column} [m] of a levitated body. The truth serves for scoring only. With
+        {"none": "-"}, no truth is used, even if a column looks like a truth.
     fit_truth : bool
         Whether zero, direction, pole pairs, lag and eccentricity of the truth are fitted to the
-        estimate, and reported separately.
+        estimate and reported separately.
     start, stop : float, optional
         Read only rows with start <= t <= stop [s].
     header : str, optional
         Names of the columns, separated by commas, for a file without names.
     note : str, optional
-        Remark for readers of the result; it is printed.
+        Note for readers of the result; the note is printed.
     join : list of str
-        Further files with channels of the same run; in a record TOML, in its folder or below.
+        Further files with channels of the same run. Files named in a record TOML must be in its
+        folder or below.
     align : str
-        How to match their rows: "time" (by their stamps; default), "index" (row by row), "auto" (by
-        signals that the files have in common).
+        How to match the rows of the files: "time" (by time stamps; default), "index" (row by row),
+        "auto" (by signals that the files have in common).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -149,11 +151,11 @@ class Layout(BaseModel):
         for first, second in combinations(CONVERTING, 2):
             for channel in getattr(self, first):
                 if channel in getattr(self, second):
-                    raise ValueError(f"{channel} has both {first} and {second}; give one of them")
+                    raise ValueError(f"{channel} has both {first} and {second}; give only one")
         return self
 
     def conversion(self, channel: str) -> tuple[float, float]:
-        """Return the scale and offset that turn a column into its channel, in SI."""
+        """Return the (scale, offset) that convert a column to its channel, in SI."""
         scale, offset = 1.0, 0.0
         for key in keys_for(channel):
             if key in self.scale:
@@ -169,12 +171,12 @@ class Layout(BaseModel):
 
 
 def keys_for(channel: str) -> list[str]:
-    """Return the keys of a channel's unit or converter: its name, then its group."""
+    """Return the keys of a channel's unit or converter: the channel's name, then its group."""
     return [channel, *(group for group, prefix in GROUPS.items() if channel.startswith(prefix))]
 
 
 def read_fields(path: str | Path) -> dict[str, Any]:
-    """Read the fields of a record TOML as a mapping, which options can override.
+    """Read the fields of a record TOML as a mapping; options can override the fields.
 
     Raises
     ------

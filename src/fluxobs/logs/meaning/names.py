@@ -1,8 +1,8 @@
-"""Channel and unit from the name of a column.
+"""Find the channel and the unit in the name of a column.
 
-Tools and people use different case, separators, letters (u or v for voltage), phase names (a b c,
-u v w, 1 2 3, L1 L2 L3) and suffixes such as `meas` or `ref`. A name is reduced to letters and
-digits, and compared with one pattern per channel.
+Names differ in case, separators, letters (u or v for voltage), phase names (a b c, u v w, 1 2 3,
+L1 L2 L3) and suffixes such as `meas` or `ref`. A name is reduced to letters and digits, and then
+compared with one pattern per channel.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 from .units import known, plain, quantity
 
 _PHASES = {"a": "(?:a|u|1|l1)", "b": "(?:b|v|2|l2)", "c": "(?:c|w|3|l3)"}
-#: The same for currents and voltages, whose phases may also be R S T.
+#: Names of the phases of currents and voltages, which may also be R S T.
 _RST = {"a": "(?:a|u|1|l1|r)", "b": "(?:b|v|2|l2|s)", "c": "(?:c|w|3|l3|t)"}
 _PAIRS = {
     "ab": "(?:ab|uv|12|l12|l1l2|rs)",
@@ -46,14 +46,14 @@ _SETPOINT = re.compile("(?:ref|reference|cmd|command|set|setpoint|sp|star|soll|t
 
 
 def is_setpoint(column: str) -> bool:
-    """Return whether a column is a setpoint by its name, not a measurement."""
+    """Return whether the name of a column means a setpoint, not a measurement."""
     split = unit_in(column)
     return _SETPOINT.search(key(leaf(column if split is None else split[0]))) is not None
 
 
 @cache
 def _patterns() -> dict[str, re.Pattern[str]]:
-    """Return one pattern per channel, built when the first name needs it."""
+    """Return one pattern per channel; the patterns are built at the first call."""
     patterns: dict[str, str] = {
         "t": "(?:t|time|times|timestamp|timestamps|zeit|temps|xaxis|xvalue|x|tout|elapsed"
         "|elapsedtime|relativetime|timesec|systemtime|datetime|date|clock|abstime)"
@@ -102,19 +102,20 @@ def _patterns() -> dict[str, re.Pattern[str]]:
 
 
 _LETTERS = str.maketrans({"α": "alpha", "β": "beta", "θ": "theta", "ω": "omega", "φ": "phi"})
-#: "Ia [mA]", "Ia (mA)", "Ia {mA}", "Ia / mA", "Ia, mA", "Ia in mA".
+#: Names with a unit in brackets: "Ia [mA]", "Ia (mA)", "Ia {mA}". Names with a unit after a
+#: separator: "Ia / mA", "Ia, mA", "Ia in mA".
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({]\s*([^\[\](){}]*)\s*[\])}]\s*(.*)$")
 _BEHIND = re.compile(r"^(.*?)(?:\s*/\s*|\s*,\s*|\s+in\s+|\s+)([^\s/,]+)$")
-#: Last elements of a path without meaning.
+#: Last elements of a path that have no meaning.
 _PORT = re.compile(r"^(out|in|value|values|data|signal)\d*$", re.IGNORECASE)
-#: "in s" and "CH1V", written by instruments.
+#: Names that instruments write, such as "in s" and "CH1V".
 _IN, _SCOPE = re.compile(r"^()in\s+(\S+)$"), re.compile(r"^(CH\s?\d+)\s*([VA])$")
-#: "u_a_V", "theta_deg", "time-ms", "Ia.mA".
+#: Names with a joined unit, such as "u_a_V", "theta_deg", "time-ms", "Ia.mA".
 _JOINED = re.compile(r"^(.*)[_\-.]([^_\-.]+)$")
 
 
 class Named(NamedTuple):
-    """Channel and unit of a name."""
+    """Channel and unit found in a name."""
 
     channel: str | None
     unit: str | None = None
@@ -163,7 +164,7 @@ def read_name(column: str) -> Named:
     """Return the channel and unit in a column's name."""
     name, split = leaf(column), unit_in(column)
     group, _, member = column.rpartition("/")
-    if group and len(member) == 1:  # "voltages/a": a phase, not amperes
+    if group and len(member) == 1:  # in "voltages/a", the letter is a phase, not amperes
         return Named(_match(f"{leaf(group)}_{member}"))
     if split is not None and (_BRACKETS.match(name) or _match(name) is None):
         return Named(_match(leaf(split[0])), split[1])

@@ -1,4 +1,4 @@
-"""Presets: shipped records for the logs of known tools, one TOML each in presets/."""
+"""Presets: shipped record files for the logs of known tools; each is a TOML file in presets/."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def preset_text(name: str) -> str:
     Raises
     ------
     RecordError
-        No preset has that name.
+        No preset has this name.
     """
     if name not in preset_names():
         raise RecordError(f"no preset {name!r}{nearest(name, preset_names())}")
@@ -39,7 +39,7 @@ def preset_fields(name: str) -> dict[str, Any]:
     Raises
     ------
     RecordError
-        No preset has that name, or logs of that tool cannot be used; the message says why.
+        No preset has this name, or logs of the tool cannot be used; the message says why.
     """
     text = preset_text(name)
     refusal = tomllib.loads(text).get("refused")

@@ -1,4 +1,4 @@
-"""Record files: the layout of a log in TOML, to read it or similar logs again."""
+"""Record files: the layout of a log in TOML, for reading this log or similar logs again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MAPPINGS = ("columns", "unit", "adc", "scale", "offset", "truth")
 
 
 def record_text(log: Log) -> str:
-    """Return the text of a record TOML, with all given and all guessed fields."""
+    """Return the text of a record TOML with all given and guessed fields."""
     layout = log.layout
     fields = layout.model_dump(exclude_defaults=True, exclude={*_MAPPINGS, "join", "note"})
     fields["frame"] = log.frame

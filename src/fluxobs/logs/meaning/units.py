@@ -45,10 +45,10 @@ UNITS: dict[Quantity, dict[str, float]] = {
     },
     "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2},
 }
-#: Units of a converter, written with a colon and a number: counts per full scale (a turn, a duty
-#: of one), ticks per second of a clock [Hz].
+#: Units of a converter, written with a colon and a number: counts per full scale (a turn, or a duty
+#: of one), and ticks per second of a clock [Hz].
 COUNTS, TICKS = "counts", "ticks"
-#: Fixed point with the given number of fractional bits: q8, q15, …
+#: Fixed point: q8 has 8 fractional bits, q15 has 15, …
 _FIXED = re.compile(r"^[qQ](\d{1,2})$")
 _RAW_FULL: dict[Quantity, float] = {"angle": math.tau, "duty": 1.0}
 
@@ -64,12 +64,12 @@ _CHANNELS: tuple[tuple[str, Quantity], ...] = (
 
 
 def quantity(channel: str) -> Quantity | None:
-    """Return the quantity of a channel; None for channels without a unit, such as Hall signals."""
+    """Return the quantity of a channel, or None if it has no unit, such as a Hall signal."""
     return next((kind for prefix, kind in _CHANNELS if channel.startswith(prefix)), None)
 
 
 def plain(unit: str) -> str:
-    """Return a unit as people write it in the spelling of the tables above."""
+    """Convert a unit, as people write it, to the spelling of the tables above."""
     text = unit.strip().strip("[](){}").strip().replace("µ", "u").replace("μ", "u")
     return text.replace("Â°", "°").replace("^-1", "-1").replace("⁻¹", "-1").replace(" ", "")
 
@@ -83,7 +83,7 @@ def known(unit: str) -> set[Quantity]:
 
 
 def _table_factor(table: dict[str, float], word: str) -> float | None:
-    """Return the factor of a unit; long names, S and RAD match in any case."""
+    """Return the factor of a unit; upper or lower case is ignored in long names, S and RAD."""
     if word in table:
         return table[word]
     return table.get(word.lower()) if len(word) > 2 or word in ("S", "RAD") else None
@@ -125,19 +125,21 @@ def _converter_factor(channel: str, kind: Quantity, name: str, size: str, unit: 
         return 1.0 / number
     if name == COUNTS and kind in _RAW_FULL:
         return _RAW_FULL[kind] / number
-    advice = "ticks:HZ is for t, counts:FULL_SCALE for angles and duties; for currents and voltages"
-    raise RecordError(f"unit {channel}={unit}: {advice} give --adc {channel}=BITS,RANGE,ZERO")
+    raise RecordError(
+        f"unit {channel}={unit}: ticks:HZ is for t, and counts:FULL_SCALE is for angles and "
+        f"duties; for currents and voltages, give --adc {channel}=BITS,RANGE,ZERO"
+    )
 
 
 def adc(channel: str, given: str) -> tuple[float, float]:
-    """Return scale and offset of a converter from "bits,range,zero".
+    """Return (scale, offset) of a converter from "bits,range,zero".
 
-    All 2^bits counts span the range [SI]; the count at zero is half of them by default.
+    All 2^bits counts span the range [SI]; by default, the count at zero is half of all counts.
 
     Raises
     ------
     RecordError
-        The text is not two or three numbers, or they are impossible.
+        The text is not two or three numbers, or the numbers are impossible.
     """
     texts = [text.strip() for text in given.split(",")]
     try:

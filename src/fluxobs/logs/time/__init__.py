@@ -1,1 +1,1 @@
-"""Time of a log: stamps, gaps, jitter, clocks of several files, voltage intervals."""
+"""Time of a log: time stamps, gaps, jitter, clocks of several files, and voltage intervals."""

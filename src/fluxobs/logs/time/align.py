@@ -1,4 +1,4 @@
-"""Difference between the clocks of two files, from their common contents."""
+"""Find the difference between the clocks of two files by comparing the contents of the files."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from ..meaning.names import read_name
 from .clock import Clock
 from .resample import resample
 
-#: Rows compared of each file.
+#: Number of rows of each file that are compared.
 ROWS = 200_000
-#: Channels that both files may have, the most variable first.
+#: Channels that two files may have in common, in order of decreasing variability.
 COMMON = ("i_a", "i_b", "i_c", "i_alpha", "i_beta", "u_a", "u_b", "udc", "speed_mech", "theta_e")
-#: A correlation peak below this is not evidence.
+#: A correlation peak below this value is not evidence.
 MINIMUM_PEAK = 0.5
-#: Files joined by time get a warning if their contents contradict it with at least this peak, by
-#: this many standard deviations, and, without a common column, by this many samples.
+#: Warn about files joined by time if their contents show a shift with a peak of at least
+#: DOUBT_PEAK. The shift must be at least DOUBT_STDS standard deviations and, without a common
+#: column, at least DOUBT_SAMPLES samples.
 DOUBT_PEAK, DOUBT_STDS, DOUBT_SAMPLES = 0.8, 10.0, 50.0
-#: Peaks above this share of the largest are ambiguous with it.
+#: A peak above this share of the largest peak makes the shift ambiguous.
 AMBIGUOUS = 0.98
 
 Side = tuple[NamedTable, Table, Clock]
@@ -41,14 +42,14 @@ def doubt_of_time(base: Side, other: Side) -> str | None:
     nearest = min(abs(shift.shift), abs(shift.second or shift.shift))
     if shift.peak < DOUBT_PEAK or nearest < threshold:
         return None
-    return f"{shift.note}, though both have times: --align auto corrects this"
+    return f"{shift.note}, although both files have times: --align auto corrects this"
 
 
 def aligned_by_content(base: Side, other: Side) -> tuple[float, str]:
-    """Return the shift to add to the times of `other` [s], and a note on its certainty.
+    """Return (shift, note): the shift [s] to add to the times of `other`, and how certain it is.
 
-    The correlation is that of a column which both files have, or else of the speeds at which
-    currents and voltages turn.
+    The shift maximises the correlation of a column that is in both files. Without such a column,
+    the speeds at which currents and voltages turn are correlated.
 
     Raises
     ------
@@ -59,11 +60,11 @@ def aligned_by_content(base: Side, other: Side) -> tuple[float, str]:
     note = shift.note
     if shift.peak < MINIMUM_PEAK:
         raise RecordError(
-            f"{other[0].table.path}: --align auto: {note}; that is too weak to rely on. Join with "
-            f"--align time or index"
+            f"{other[0].table.path}: --align auto: {note}; this correlation is too weak to rely "
+            f"on. Join with --align time or index"
         )
     if shift.second is not None:
-        note += f"; {shift.second:+.6g} s fits nearly as well: check the result"
+        note += f"; a shift of {shift.second:+.6g} s fits nearly as well: check the result"
     return shift.shift, note
 
 
@@ -71,8 +72,8 @@ def aligned_by_content(base: Side, other: Side) -> tuple[float, str]:
 class _ClockShift:
     """Shift of a file's clock and its standard deviation [s].
 
-    `peak` is the correlation, `second` an ambiguous second shift, `common` whether a column of both
-    files was compared.
+    `peak` is the correlation. `second` is another shift that fits nearly as well. `common` tells
+    whether a common column of both files was compared.
     """
 
     shift: float
@@ -102,7 +103,10 @@ def _compare_clocks(base: Side, other: Side) -> _ClockShift:
         )
     shift, peak, std, second = _correlate(a, b, step)
     shift += base_start - other_start
-    note = f"by {basis} its clock is {-shift:+.7g} s ahead (± {std:.2g} s; correlation {peak:.3f})"
+    note = (
+        f"according to {basis}, the file's clock is {-shift:+.7g} s ahead (± {std:.2g} s; "
+        f"correlation {peak:.3f})"
+    )
     if second is not None:
         second += base_start - other_start
     return _ClockShift(shift, std, peak, second, bool(common), note)
@@ -149,7 +153,7 @@ def _speed(z: np.ndarray, clock: Clock) -> Array:
 
 
 def _resample_evenly(clock: Clock, values: Array, step: float) -> tuple[float, Array]:
-    """Return the first time of a signal, and its values every `step`, without mean."""
+    """Return (first time, values) of a signal; the values are `step` apart and have no mean."""
     s = clock.times(np.arange(len(values)))
     values = np.where(np.isfinite(values), values, np.nanmean(values) if len(values) else 0.0)
     t = np.arange(s[0], s[-1], step)
@@ -159,13 +163,14 @@ def _resample_evenly(clock: Clock, values: Array, step: float) -> tuple[float, A
 
 
 def _correlate(a: Array, b: Array, step: float) -> tuple[float, float, float, float | None]:
-    """Return the shift of b's times that fits a, its correlation and standard deviation, and an
-    ambiguous second shift.
+    """Return (shift, correlation, standard deviation, second shift) of b's times against a.
+
+    The second shift fits nearly as well; it is None if there is no such shift.
     """
     size = 1 << int(np.ceil(np.log2(len(a) + len(b))))
     cross = np.fft.irfft(np.fft.rfft(a, size) * np.fft.rfft(b, size).conj(), size)
     lags = np.arange(size)
-    lags[len(a) :] -= size  # negative shifts; those below -len(b) do not overlap
+    lags[len(a) :] -= size  # negative shifts; signals do not overlap for shifts below -len(b)
     overlap = np.minimum(len(a), lags + len(b)) - np.maximum(0, lags)
     norm = np.sqrt(_energy(a, lags, len(b)) * _energy(b, -lags, len(a)))
     # Where the overlap is constant, the sums are rounding errors of the transform.
@@ -175,7 +180,7 @@ def _correlate(a: Array, b: Array, step: float) -> tuple[float, float, float, fl
     order = np.argsort(lags)
     value, lags = value[order], lags[order]
     overlap = overlap[order]
-    # of similar peaks, as of a periodic signal, take the one with the most rows
+    # If several peaks are similar, as for a periodic signal, use the peak with the most rows.
     at = int(np.argmax(np.where(value >= AMBIGUOUS * value.max(), overlap + value, 0)))
     at = _summit(value, at)
     peak = float(value[at])
@@ -189,7 +194,7 @@ def _correlate(a: Array, b: Array, step: float) -> tuple[float, float, float, fl
     rows = max(float(overlap[at]), 1.0)
     noise = max(1.0 - min(peak, 1.0) ** 2, 1e-12)
     std = step * float(np.sqrt(noise / (rows * max(-curvature, 1e-12))))
-    # another peak, beyond the valley next to this one
+    # Find the largest other peak, beyond the valley next to this peak.
     far = np.abs(lags - lags[at]) > _width(value, at)
     best = int(np.argmax(np.where(far, value, -np.inf)))
     second = step * float(lags[best]) if value[best] > AMBIGUOUS * peak else None
@@ -197,14 +202,14 @@ def _correlate(a: Array, b: Array, step: float) -> tuple[float, float, float, fl
 
 
 def _summit(value: Array, at: int) -> int:
-    """Return the local maximum uphill of an index."""
+    """Return the index of the local maximum that is reached uphill from an index."""
     while 0 < at < len(value) - 1 and max(value[at - 1], value[at + 1]) > value[at]:
         at += 1 if value[at + 1] > value[at - 1] else -1
     return at
 
 
 def _energy(x: Array, lags: np.ndarray, rows: int) -> Array:
-    """Return the sum of squares of x where it overlaps a signal of `rows` rows, at each lag."""
+    """Return, for each lag, the sum of squares of x where x overlaps a signal of `rows` rows."""
     total = np.concatenate([[0.0], np.cumsum(x**2)])
     start = np.clip(lags, 0, len(x))
     stop = np.clip(lags + rows, 0, len(x))

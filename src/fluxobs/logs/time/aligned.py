@@ -1,4 +1,4 @@
-"""Align rows as they arrive: each current with the voltage of the interval that ends there."""
+"""Align rows as they arrive: assign to each current the voltage of the interval that ends there."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from ..record import interval_rows
 
 
 class Aligned(NamedTuple):
-    """Aligned rows: time [s], current, mean voltage over the interval that ends at the row, and the
-    scaled truth channel, e.g. an electrical or mechanical angle [rad] or a position [m].
+    """Aligned rows: time [s], current, mean voltage over the interval that ends at the row, truth.
+
+    The truth is the scaled channel, e.g. an electrical or mechanical angle [rad] or a position [m].
     """
 
     t: Array
@@ -26,14 +27,14 @@ class Aligned(NamedTuple):
 
 
 def between(piece: Aligned, first: int, last: int) -> Aligned:
-    """Return rows first … last - 1 of a piece."""
+    """Return rows first … last - 1 of aligned rows."""
     truth = None if piece.truth is None else piece.truth[first:last]
     t, current, voltage = (column[first:last] for column in piece[:3])
     return Aligned(t, current, voltage, truth)
 
 
 def joined(pieces: Sequence[Aligned]) -> Aligned:
-    """Join pieces into one."""
+    """Join consecutive aligned rows."""
     t, current, voltage = (
         np.concatenate(column) for column in zip(*(piece[:3] for piece in pieces), strict=True)
     )
@@ -42,12 +43,13 @@ def joined(pieces: Sequence[Aligned]) -> Aligned:
 
 
 def less_lost(rows: Aligned, inverter: InverterError, before: Array) -> Aligned:
-    """Subtract inverter losses; `before` is the current of the row before the first, (1, 2)."""
+    """Subtract inverter losses; `before`, shape (1, 2), is the current before the first row."""
     currents = np.concatenate([before, rows.current])
     return rows._replace(voltage=rows.voltage - inverter.lost(currents[:-1], currents[1:]))
 
 
-# Time, current, angle in the middle of the interval that ends at the row (frame dq), truth.
+# (time, current, middle, truth); in frame dq, `middle` is the angle in the middle of the interval
+# that ends at the row.
 _Piece = tuple[Array, Array, Array | None, Array | None]
 
 
@@ -78,7 +80,7 @@ def _align(piece: _Piece, source: Array, lag: float, first: int, start: int) -> 
 
 
 class Aligning:
-    """Align the rows of a log in batches of any size; the size changes no value.
+    """Align the rows of a log in batches of any size; the size does not change the values.
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ class Aligning:
     lag : float
         In samples.
     inverter : InverterError, optional
-        Subtracted from the commanded voltage.
+        Error that is subtracted from the commanded voltage.
     first : int
         Number of the first row.
     """
@@ -105,14 +107,14 @@ class Aligning:
             lag,
             inverter,
         )
-        self._source = np.empty((0, 2))  # recorded voltages of rows _oldest … _row - 1
+        self._source = np.empty((0, 2))  # Recorded voltages of rows _oldest … _row - 1.
         self._oldest = self._emitted = self._row = first
-        self._waiting: _Piece | None = None  # rows whose voltage may not have arrived
-        self._angle = np.nan  # of the last row, if the frame is dq
-        self._before: Array | None = None  # current of the last yielded row
+        self._waiting: _Piece | None = None  # Rows whose voltage may not have arrived.
+        self._angle = np.nan  # Angle of the last row, if the frame is dq.
+        self._before: Array | None = None  # Current of the last yielded row.
 
     def add(self, t: Array, channels: Columns, truth: Array | None) -> Iterator[Aligned]:
-        """Add rows: times [s], channels in SI, scaled truth; yield the rows that are complete."""
+        """Add rows (times [s], channels in SI, scaled truth); yield the rows that are complete."""
         middle = None
         if self.frame == "dq":
             angle = np.r_[self._angle, channels["theta_e"]]
@@ -132,7 +134,7 @@ class Aligning:
         self._source, self._oldest = self._source[oldest - self._oldest :], oldest
 
     def end(self) -> Iterator[Aligned]:
-        """Yield the last rows, whose voltage never arrived."""
+        """Yield the last rows, for which no voltage arrived."""
         if self._waiting is not None and self._row > self._emitted:
             yield self._aligned(self._waiting)
 

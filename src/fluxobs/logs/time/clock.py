@@ -11,55 +11,56 @@ from ...core.arrays import Array
 from ...errors import RecordError
 from ..formats import Table, read_rows
 
-#: A longer step is a gap [sample times].
+#: A step longer than this is a gap [sample times].
 GAP = 1.6
-#: Largest deviation of a step that counts as even [share of the sample time].
+#: Largest deviation of a step that counts as uniform [share of the sample time].
 EVEN = 0.02
-#: Steps that deviate by more have no common sample rate [share of the sample time].
+#: If steps deviate by more, they have no common sample rate [share of the sample time].
 JITTER = 0.45
-#: The same with a sample time from the user: t may then be rounded irregularly.
+#: Limit instead of JITTER if the user gives the sample time: t may then be rounded irregularly.
 JITTER_GIVEN = 0.9
-#: Rounding of stamps that is reported [share of the sample time].
+#: Smallest rounding of stamps that is reported [share of the sample time].
 ROUNDED = 0.2
-#: A step this close to a multiple of the rounding is not changed by it.
+#: If a step is this close to a multiple of the rounding, rounding does not change the step.
 WHOLE = 0.02
 #: Largest clock drift [share of the elapsed time].
 WANDERS = 1e-3
-#: A longer gap is shortened to this many rows; times after it stay correct.
+#: A gap longer than this many rows is shortened to this length; times after the gap stay correct.
 LONGEST_GAP = 10_000
-#: Counters wrap at powers of two, in ticks, milli-, micro- or nanoseconds; clocks at 24 h.
+#: Counters of ticks, milli-, micro- or nanoseconds wrap at powers of two; clocks wrap at 24 h.
 _BITS = (8, 10, 12, 16, 24, 32)
 WRAPS = (86400.0, *(2.0**n / unit for unit in (1.0, 1e3, 1e6, 1e9) for n in _BITS))
-#: Longest step across a wrap [sample times]: a few samples may be missing there, but a second log
-#: appended to the first is not a wrap.
+#: Longest step across a wrap [sample times]. A few samples may be missing at a wrap, but a second
+#: log appended to the first log is not a wrap.
 WRAP_STEP = 16.5
 _HEAD_ROWS = 65536
 _BATCH_ROWS = 200_000
-#: Spacing of the time index [rows], which locates rows where stamps jitter: less than half a turn
-#: of the shortest counter, of eight bits.
+#: Spacing of the time index [rows], which locates rows whose stamps jitter. The spacing is less
+#: than half a turn of the shortest counter, which has eight bits.
 INDEXED = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Uniform rows, and the rows of the file that they come from.
+    """Relation between uniform rows and the rows of the file.
 
     Attributes
     ----------
     sample_time, t0 : float
         [s].
     rows : int
-        Number of uniform rows, including those in gaps.
+        Number of uniform rows, including rows in gaps.
     source, at, t : (pieces,) ndarray
-        First row of each gap-free segment, in the file and among the uniform rows; its time [s].
+        First row of each gap-free segment: its number in the file, its number among the uniform
+        rows, and its time [s].
     missing : int
         Number of samples missing in gaps.
     rounding, jitter : float
-        Of the stamps: their resolution, and the rms of other deviations [s].
+        Resolution of the stamps, and rms of their other deviations [s].
     index : (n,) ndarray
         Unwrapped time of every INDEXED-th row of the file [s].
     wrap : float
-        Added to the stamps at each wrap [s]; 0 if there is no wrap.
+        Time added to the stamps at each wrap [s]; 0 if there is no wrap.
     """
 
     sample_time: float
@@ -76,7 +77,7 @@ class Clock:
 
     @property
     def plain(self) -> bool:
-        """Whether the file has uniform rows already, without gaps or wraps."""
+        """Whether the rows of the file are already uniform, without gaps or wraps."""
         return len(self.at) == 1 and not self.wrap
 
     @property
@@ -88,14 +89,14 @@ class Clock:
         """Return the times of uniform rows [s]."""
         piece = np.searchsorted(self.at, rows, side="right") - 1
         t = self.t[piece] + (rows - self.at[piece]) * self.sample_time
-        if len(self.at) > 1:  # rows in a shortened gap stay before its end
+        if len(self.at) > 1:  # times of rows in a shortened gap stay before the end of the gap
             after = np.append(self.t[1:], np.inf)[piece]
             t = np.minimum(t, after - 1e-9 * self.sample_time)
         return np.asarray(t)
 
     def row_at(self, t: float, up: bool) -> int:
-        """Return the first row at or after a time; with `up` false, the row after the last one
-        at or before it.
+        """Return the first row at or after a time. If `up` is false, return the row after the last
+        row that is at or before the time.
         """
         piece = max(0, int(np.searchsorted(self.t, t, side="right")) - 1)
         samples = (t - self.t[piece]) / self.sample_time
@@ -104,7 +105,7 @@ class Clock:
         return int(np.clip(self.at[piece] + offset, 0, end))
 
     def uniform_rows(self, source: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the uniform rows of rows of the file."""
+        """Return the numbers of the uniform rows that correspond to rows of the file."""
         piece = np.searchsorted(self.source, source, side="right") - 1
         return np.asarray(self.at[piece] + source - self.source[piece])
 
@@ -117,12 +118,12 @@ def even(rows: int, sample_time: float, t0: float = 0.0) -> Clock:
 
 
 def longest_step(h: float, rounding: float) -> float:
-    """Return the longest step that is not a gap [s], for a sample time and the rounding [s]."""
+    """Return the longest step [s] that is not a gap, for sample time `h` and `rounding` [s]."""
     return GAP * h + (rounding if rounding >= ROUNDED * h else 0.0)
 
 
 def missing_steps(steps: Array, h: float, rounding: float) -> NDArray[np.int64]:
-    """Return the number of samples missing within each step of the stamps."""
+    """Return the number of samples that are missing in each step of the stamps."""
     lacking = np.maximum(1, np.round(steps / h) - 1)
     return np.where(steps > longest_step(h, rounding), lacking, 0).astype(np.int64)
 
@@ -139,7 +140,7 @@ class _Reader:
         head = self._unwrapped(head, 0)
         self.rounding = rounding_of(head)
         if self.rounding and not is_rounded(head, self.rounding):
-            self.rounding = 0.0  # the samples themselves lie on a grid
+            self.rounding = 0.0  # the sample times themselves are multiples of this size
         if given and self.rounding and _is_whole(given / self.rounding):
             self.rounding = 0.0  # rounding changes no stamp
         steps = np.diff(head)
@@ -159,7 +160,7 @@ class _Reader:
         return np.asarray(t * self.scale + self.offset)
 
     def _typical(self, steps: Array) -> tuple[float, float]:
-        """Return the step that gaps are compared with, and the mean of similar steps."""
+        """Return (step, mean): the step that gaps are compared with, and the mean of such steps."""
         usual = float(np.median(steps))
         if usual > 0 and self.rounding < ROUNDED * usual:
             typical = steps[np.abs(steps - usual) <= 0.6 * usual]
@@ -251,9 +252,9 @@ class _Reader:
         if worst > max(limit, slack):
             raise RecordError(
                 f"{self._place(worst_row)}: samples are not uniform: a step of {worst_step:.6g} s "
-                f"where {self.typical:.6g} s is expected (the worst place). Steps may differ by "
+                f"where {self.typical:.6g} s is expected (worst place). Steps may differ by "
                 f"{limit / h:.0%}; gaps must be whole samples. Export simulations with a fixed "
-                f"step; if t is only rounded, ignore it with --sample-time and --column t=-"
+                f"step; if t is only rounded, ignore t with --sample-time and --column t=-"
             )
         jitter = float(np.sqrt(squares / max(count, 1) / 2)) if worst > slack else 0.0
         return self._assemble(
@@ -312,9 +313,9 @@ def _is_whole(share: float) -> bool:
 
 
 def rounding_of(t: Array) -> float:
-    """Return the resolution of stamps [s]; 0 if they have many digits.
+    """Return the resolution of stamps [s], or 0 if the stamps have many digits.
 
-    It is the largest power of ten, times 1, 2 or 5, of which all stamps are multiples.
+    The resolution is the largest power of ten, times 1, 2 or 5, of which all stamps are multiples.
     """
     t = t - t[0]
     step = float(np.median(np.diff(t))) or float(t[-1]) / max(len(t) - 1, 1)
@@ -331,14 +332,14 @@ def rounding_of(t: Array) -> float:
     return 0.0
 
 
-#: Rows of a window in which rounded stamps deviate from a line by at most their rounding.
+#: Rows of a window. In a window, rounded stamps deviate from a line by at most their rounding.
 WINDOW = 256
 
 
 def is_rounded(t: Array, size: float) -> bool:
     """Return whether stamps are rounded times of uniform samples, without missing samples.
 
-    Their distance from a line then stays within the rounding in most windows.
+    The distance of such stamps from a line stays within the rounding in most windows.
     """
     rows = min(WINDOW, len(t))
     windows = t[: len(t) // rows * rows].reshape(-1, rows)
@@ -349,7 +350,9 @@ def is_rounded(t: Array, size: float) -> bool:
 
 
 def rounded_rate(step: float, uncertain: float) -> float:
-    """Return the roundest sample time, or inverse of a round rate, that agrees with a mean step.
+    """Return the sample time that agrees with a mean step and has the fewest digits.
+
+    The digits may be those of the sample time or those of the sample rate.
 
     `uncertain` is the uncertainty of the mean step from the rounding of stamps [s].
     """
@@ -365,21 +368,21 @@ def rounded_rate(step: float, uncertain: float) -> float:
 def measure(
     table: Table, column: str, scale: float, offset: float, given: float | None
 ) -> tuple[Clock, float, float]:
-    """Return the clock of a table from its time column, its typical and its mean step [s].
+    """Return (clock, typical step, mean step) of a table from its time column [s].
 
     Raises
     ------
     RecordError
-        A time is missing, time runs backwards, or its steps are not uniform; the message names
-        the place.
+        A time is missing, time runs backwards, or the steps of time are not uniform; the message
+        names the place.
     """
     reader = _Reader(table, column, scale, offset, given)
     if given is not None:
-        # A gap shifts the mean, rounding shifts the typical step: one of them must agree.
+        # Gaps change the mean step, and rounding changes the typical step: one must agree.
         deviation = min(abs(reader.typical / given - 1), abs(reader.mean / given - 1))
         if deviation > max(1e-3, 1 / table.rows):
             raise RecordError(
                 f"{table.path}: t advances by {reader.mean:.6g} s a row, but --sample-time is "
-                f"{given:.6g} s. Correct one of them (is t in seconds? --unit t=ms)"
+                f"{given:.6g} s. Correct --sample-time or the unit of t (for example --unit t=ms)"
             )
     return reader.clock(), reader.typical, reader.mean

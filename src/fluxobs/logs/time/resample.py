@@ -8,8 +8,8 @@ import numpy as np
 
 from ...core.arrays import Array
 
-#: Course of a channel between its samples: a command is held until the next one, an angle wraps, a
-#: state jumps.
+#: Course of a channel between its samples: a command is held until the next command, an angle
+#: wraps, a state jumps.
 Course = Literal["held", "smooth", "angle", "state"]
 
 
@@ -26,8 +26,8 @@ def resample(course: Course, s: Array, values: Array, t: Array, step: float) -> 
     """Resample a signal from the increasing times s to the times t.
 
     A held signal is averaged over [t, t + step]; smooth signals and angles are interpolated by the
-    cubic through the four samples around t. Values are NaN where a needed sample is missing and
-    outside s; a held signal or a state extends one sample beyond its last.
+    cubic through the four samples around t. Values are NaN if a needed sample is missing or t is
+    outside s. A held signal or a state lasts one sample beyond its last sample.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def resample(course: Course, s: Array, values: Array, t: Array, step: float) -> 
 
 
 def _unwrapped(angle: Array) -> Array:
-    """Return an angle [rad] without jumps, also across missing values."""
+    """Remove the jumps of an angle [rad]; values may be missing."""
     finite = np.isfinite(angle)
     unwrapped = np.full_like(angle, np.nan)
     unwrapped[finite] = np.unwrap(angle[finite])
@@ -59,7 +59,7 @@ def _unwrapped(angle: Array) -> Array:
 
 
 def _held_mean(s: Array, values: Array, start: Array, stop: Array) -> Array:
-    """Return the mean over [start, stop] of a signal that holds each value until the next."""
+    """Return the mean over [start, stop] of a signal that holds each value until the next value."""
     end = s[-1] + (s[-1] - s[-2])
     finite = np.isfinite(values)
     edges = np.append(s, end)

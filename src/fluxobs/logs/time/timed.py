@@ -1,4 +1,4 @@
-"""Tables of a log on uniform rows: find the time column, judge its stamps."""
+"""Put the tables of a log on uniform rows: find the time column and examine its stamps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .clock import Clock, even, measure
 from .resample import Course
 from .uniform import FilledTable, ResampledTable
 
-#: A sample time in a header is used if the stamps agree within this share of it.
+#: A sample time in a header is used if it differs from the steps of t by less than this share.
 AGREES = 5e-3
 #: Jittering stamps are used if they make the currents smoother by this factor.
 SMOOTHER = 0.9
@@ -35,9 +35,9 @@ class Timed:
     Attributes
     ----------
     named : NamedTable
-        The table as read.
+        The table as it is in the file.
     table : Table
-        Its columns on uniform rows.
+        The table on uniform rows.
     clock : Clock
     time : str, optional
         Time column, if there is one.
@@ -58,7 +58,7 @@ def put_on_uniform_rows(
     notes: list[str],
     base: Timed | None = None,
 ) -> Timed:
-    """Put a table on uniform rows by its times; `base` is the first table, if files are joined."""
+    """Put a table on uniform rows by its times; if files are joined, `base` is the first table."""
     table, metadata = named.table, named.table.said
     name = _time_column(named, guessed, layout, base is not None)
     prefix = "" if base is None else f"{table.path.name}: "
@@ -69,8 +69,8 @@ def put_on_uniform_rows(
         if given is None and base is not None:
             raise RecordError(
                 f"{table.path}: {', '.join(list(named.columns)[:4])} have {table.rows} rows and no "
-                f"times, where {base.named.table.path} has {base.named.table.rows} rows. Give "
-                f"columns of equal length, or times for each"
+                f"times, but {base.named.table.path} has {base.named.table.rows} rows. Give "
+                f"columns of equal length, or times for each file"
             )
         if given is None:
             raise RecordError(
@@ -86,7 +86,7 @@ def put_on_uniform_rows(
         if base is not None:
             raise RecordError(
                 f"{table.path}: {table.rows} rows; a file that is joined by its times needs at "
-                f"least three"
+                f"least three rows"
             )
         return Timed(named, table, even(table.rows, 1.0), name)
     given = layout.sample_time
@@ -102,8 +102,8 @@ def put_on_uniform_rows(
         if _stamps_are_true(named, guessed, column, scale, offset, clock):
             notes.append(
                 f"{prefix}t jitters by {clock.jitter / clock.sample_time:.0%} of the sample time "
-                f"(rms); all channels are resampled to uniform times, voltages as held between "
-                f"stamps. If the stamps themselves are wrong by as much, the angle is off by "
+                f"(rms); all channels are resampled to uniform times; voltages count as held "
+                f"between stamps. If the stamps are wrong by this jitter, the angle is off by "
                 f"{np.degrees(600 * clock.jitter):.2g}° at 600 rad/s"
             )
             conversions = (for_columns_of(courses, named), for_columns_of(scales, named))
@@ -111,8 +111,8 @@ def put_on_uniform_rows(
             return Timed(named, resampled, clock, name)
         notes.append(
             f"{prefix}t jitters by {clock.jitter / clock.sample_time:.0%} of the sample time "
-            f"(rms), but the currents are smoother without it: only the stamps jitter, the "
-            f"samples are taken as uniform"
+            f"(rms), but the currents are smoother without this jitter: only the stamps jitter, "
+            f"and the samples are taken as uniform"
         )
     if clock.plain:
         return Timed(named, table, clock, name)
@@ -120,7 +120,7 @@ def put_on_uniform_rows(
 
 
 def for_columns_of(by_name: Mapping[str, Value], named: NamedTable) -> dict[str, Value]:
-    """Return the entries for columns of a table, keyed by their names in the table."""
+    """Return the entries for columns of a table; the keys are the columns' names in the table."""
     return {named.columns[name]: value for name, value in by_name.items() if name in named.columns}
 
 
@@ -138,7 +138,7 @@ def _time_columns(named: NamedTable) -> list[str]:
 
 
 def _time_conversion(name: str, guessed: Guess, layout: Layout) -> tuple[float, float]:
-    """Return scale and offset of a time column, from the user or from its unit."""
+    """Return (scale, offset) of a time column, from the user or from the column's unit."""
     if name == guessed.channels.get("t") or "t" not in layout.unit:
         scale, offset = layout.conversion("t")
         if name == guessed.channels.get("t") or "t" in layout.scale:
@@ -162,7 +162,7 @@ def _time_notes(clock: Clock) -> list[str]:
             f"missing; the longest is {size[longest]:.3g} s before t = {clock.t[longest + 1]:.6g} s"
         )
     if clock.wrap:
-        notes.append(f"t wraps every {clock.wrap:.6g} s, and is continued there")
+        notes.append(f"t wraps every {clock.wrap:.6g} s; the wraps are removed")
     if clock.rounding:
         notes.append(
             f"t is rounded to {clock.rounding:g} s; the samples are taken as uniform, "
@@ -174,7 +174,7 @@ def _time_notes(clock: Clock) -> list[str]:
 def _stamps_are_true(
     named: NamedTable, guessed: Guess, column: str, scale: float, offset: float, clock: Clock
 ) -> bool:
-    """Return whether samples were taken at their jittering stamps, which smooths the currents."""
+    """Return whether samples were taken at the jittering stamps: the currents are then smoother."""
     names = [n for c, n in guessed.channels.items() if c.startswith("i_") and n in named.columns]
     if not names:
         return True
@@ -188,7 +188,7 @@ def _stamps_are_true(
 
 
 def _roughness(t: Array, values: Array) -> float:
-    """Return the median error of predicting a sample by the cubic through two on each side."""
+    """Predict each sample by the cubic through two on each side; return the median error."""
     if len(t) < 8 or (np.diff(t) <= 0).any():
         return 0.0
     x = np.stack([t[k : len(t) - 4 + k] for k in (0, 1, 3, 4)]) - t[2:-2]

@@ -17,15 +17,15 @@ AROUND = 4
 
 
 class FilledTable(Table):
-    """Table with its gaps filled: missing rows are NaN.
+    """Table whose gaps are filled: missing rows are NaN.
 
     Parameters
     ----------
     table : Table
     clock : Clock
-        Of this table.
+        Clock of `table`.
     time : str
-        Its time column, replaced by uniform times; it need not exist.
+        Time column of `table`, replaced by uniform times; this column need not exist.
     """
 
     def __init__(self, table: Table, clock: Clock, time: str) -> None:
@@ -38,7 +38,7 @@ class FilledTable(Table):
         return self.table.place(self._source_row(row))
 
     def _source_row(self, row: int) -> int:
-        """Return the row of the file at a uniform row, or the last one before it."""
+        """Return the row of the file at a uniform row, or the last row of the file before."""
         piece = int(np.searchsorted(self.clock.at, row, side="right")) - 1
         source = int(self.clock.source[piece] + row - self.clock.at[piece])
         after = self.clock.source[piece + 1] if piece + 1 < len(self.clock.at) else self.table.rows
@@ -91,7 +91,7 @@ class FilledTable(Table):
 
 
 class SequentialReader:
-    """Read a table once, in order, and keep the last rows for overlapping requests."""
+    """Reader that reads a table once, in order, and keeps the last rows for the next request."""
 
     def __init__(self, table: Table, names: Sequence[str], first: int, size: int) -> None:
         self._batches = table.batches(names, first, table.rows, size)
@@ -99,7 +99,7 @@ class SequentialReader:
         self._first, self._rows, self._table = first, first, table
 
     def get(self, first: int, last: int) -> tuple[int, Columns]:
-        """Return the available rows of first … last - 1, after the number of the first of them."""
+        """Return (number of the first row, rows) for the available rows of first … last - 1."""
         first, last = max(first, self._first), min(last, self._table.rows)
         while self._rows < last:
             batch = next(self._batches)
@@ -116,24 +116,24 @@ class SequentialReader:
 
 
 class ResampledTable(Table):
-    """Columns of a table, resampled to uniform times or to those of another file.
+    """Columns of a table, resampled to uniform times or to the times of another file.
 
     Parameters
     ----------
     table : Table
-        Source; its stamps may jitter. Without `time` it is uniform.
+        Source; its stamps may jitter. Without `time`, its rows are uniform.
     time : (str, float, float), optional
-        Column of the stamps, its scale and offset.
-    own : Clock
-        Of `table`.
+        Column of the stamps, and the scale and offset of this column.
+    source_clock : Clock
+        Clock of `table`.
     clock : Clock
-        Of the result.
+        Clock of the result.
     courses : dict
-        Column → its course between samples.
+        Column → course of the column between samples.
     scales : dict
-        Column → factor of an angle to radians.
+        Column → factor that converts an angle to radians.
     shift : float
-        Added to the times of `table` [s].
+        Time added to the times of `table` [s].
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class ResampledTable(Table):
         return self.table.place(min(max(lower + AROUND, 0), self.table.rows - 1))
 
     def _needed_rows(self, t: Array) -> tuple[int, int]:
-        """Return the range of source rows needed for these times."""
+        """Return the range (first, last) of source rows that the times `t` need."""
         begin, end = t[0] - self.shift, t[-1] + self.clock.sample_time - self.shift
         if self.time is None:
             lower, upper = (self.source_clock.row_at(time, False) for time in (begin, end))
@@ -206,7 +206,7 @@ class ResampledTable(Table):
         return np.asarray(rows - self.source_clock.at[piece] >= length[piece])
 
     def _unwrapped(self, s: Array, row: int) -> Array:
-        """Return stamps without wraps, by means of the time index."""
+        """Return stamps without wraps; the time index gives the number of wraps."""
         reference = self.source_clock.index[min(row // INDEXED, len(self.source_clock.index) - 1)]
         turns = np.round((reference - s[0]) / self.source_clock.wrap)
         jumps = np.concatenate([[0.0], np.cumsum(np.diff(s) < 0)])
@@ -222,7 +222,7 @@ class ResampledTable(Table):
 
 
 class JoinedTable(Table):
-    """Columns of several tables, on the rows of the first."""
+    """Columns of several tables, on the rows of the first table."""
 
     def __init__(self, tables: Sequence[Table], names: Sequence[Mapping[str, str]]) -> None:
         self.tables, self._names = tables, names
@@ -254,7 +254,7 @@ class JoinedTable(Table):
 
 
 class Rebatcher:
-    """Batches cut to other lengths."""
+    """Batches that are cut again to other lengths."""
 
     def __init__(self, batches: Iterator[Columns]) -> None:
         self._batches = batches

@@ -1,4 +1,4 @@
-"""Delimited text of people and instruments."""
+"""Delimited text, written by people or instruments."""
 
 from .table import TextTable
 

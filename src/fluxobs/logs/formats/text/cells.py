@@ -1,4 +1,4 @@
-"""Cells of a line of text: split lines, and recognise numbers, missing values and clock times."""
+"""Split lines of text into cells, and recognise numbers, missing values and clock times."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Iterator
 
 #: Cell contents that mean a missing value.
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "inf", "-inf", "∞", "-∞", "#n/a")
-#: Delimiters, the most distinctive first.
+#: Delimiters, with the most distinctive delimiter first.
 DELIMITERS = ("\t", ";", "|", ",", " ")
 #: Typographic minus sign.
 MINUS = "\u2212"
 _DECIMAL_COMMA = re.compile(rf"^\s*[-+{MINUS}]?\d+,\d+([eE][-+{MINUS}]?\d+)?\s*$")
 _NUMBER = re.compile(rf"^\s*[-+{MINUS}]?(\d+(\.\d*)?|\.\d+)([eE][-+{MINUS}]?\d+)?\s*$")
-#: A number whose comma may separate thousands.
+#: A number with commas that may separate thousands.
 _THOUSANDS = re.compile(r"^\s*[-+]?[1-9]\d{0,2}(,\d{3})+\s*$")
-#: Wall-clock stamps: patterns, and the formats that read them.
+#: Patterns of wall-clock stamps, and the formats that read the stamps.
 CLOCKS: tuple[tuple[re.Pattern[str], tuple[str, ...]], ...] = tuple(
     (re.compile(pattern), formats)
     for pattern, formats in (
@@ -36,7 +36,7 @@ CLOCKS: tuple[tuple[re.Pattern[str], tuple[str, ...]], ...] = tuple(
 
 
 def split(line: str, delimiter: str) -> list[str]:
-    """Split a line into cells; quotes protect delimiters, several spaces count as one."""
+    """Split a line into cells; quotes protect delimiters, and several spaces are one delimiter."""
     line = line.rstrip("\r\n")
     if delimiter == " ":
         return line.split() if '"' not in line else _split_quoted(" ".join(line.split()), " ")
@@ -50,7 +50,7 @@ def _csv_reader(line: str, delimiter: str) -> Iterator[list[str]]:
 def _split_quoted(line: str, delimiter: str) -> list[str]:
     try:
         return [cell.strip() for cell in next(_csv_reader(line, delimiter), [])]
-    except csv.Error:  # not a line of a table
+    except csv.Error:  # the line is not part of a table
         return [cell.strip() for cell in line.split(delimiter)]
 
 
@@ -60,7 +60,7 @@ def has_decimal_comma(cell: str) -> bool:
 
 
 def has_thousands(cell: str) -> bool:
-    """Return whether the comma of a number may separate thousands."""
+    """Return whether a cell is a number with commas that may separate thousands."""
     return _THOUSANDS.match(cell) is not None
 
 
@@ -75,7 +75,7 @@ def is_missing(cell: str) -> bool:
 
 
 def clock_formats(cell: str) -> tuple[str, ...]:
-    """Return the formats of a wall-clock stamp that a cell may have; none for other cells."""
+    """Return the wall-clock formats that may read a cell, or none if the cell is not a stamp."""
     text = cell.strip()
     for pattern, formats in CLOCKS:
         if pattern.match(text):

@@ -1,4 +1,4 @@
-"""Compressed text as a stream of lines that fit into memory."""
+"""Compressed text as a stream of lines, each short enough for memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import IO, Any, AnyStr, cast
 from ....core.input_files import RATIO, most_unpacked
 from ....errors import RecordError
 
-#: Longest line [characters]: a log with the most columns may have a hundred in each.
+#: Longest line [characters]: a log with the most columns may have a hundred characters per column.
 LINE = 1 << 20
 
 
@@ -32,8 +32,9 @@ class _Packed(gzip.GzipFile):
         content: bytes = self._call_guarded(method, size)
         if self.tell() > self._limit:
             raise RecordError(
-                f"{self.name}: it unpacks to more than {self._limit} bytes, and to more than "
-                f"{RATIO} times its size: its rows repeat. If it is a log, unpack it with gunzip"
+                f"{self.name}: the file unpacks to more than {self._limit} bytes, and to more than "
+                f"{RATIO} times its size: the rows repeat. If the file is a log, unpack it with "
+                f"gunzip"
             )
         return content
 
@@ -56,7 +57,7 @@ def open_packed(path: Path) -> IO[bytes]:
 
 
 def whole(file: IO[AnyStr], path: Path, most: int | None = None) -> Iterator[AnyStr]:
-    """Yield lines of a file until they exceed `most` characters in total.
+    """Yield lines of a file until the lines together exceed `most` characters.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from ....core.arrays import Array
 from ..lazy import BROKEN
 from .structure import Structure
 
-#: Column for cells beyond the header; lines with such cells are refused.
+#: Column for surplus cells, beyond the header; lines with surplus cells are refused.
 _SURPLUS = "surplus"
 
 
@@ -20,7 +20,7 @@ class Ragged(ValueError):
 
 
 class Cells:
-    """Cells of some lines, by column number.
+    """Cells of several lines, accessed by column number.
 
     Attributes
     ----------
@@ -72,12 +72,12 @@ class Cells:
         return bool(len(beyond) and (beyond.str.strip_chars() != "").any())
 
     def number(self, n: int) -> tuple[Array, bool]:
-        """Return the numbers of a column, NaN for other cells, and whether all are numbers."""
+        """Return (numbers of a column, whether all cells are numbers); other cells are NaN."""
         values = self._frame[str(n)]
         return values.to_numpy(), values.null_count() == 0
 
     def text(self, n: int) -> list[str | None]:
-        """Return the texts of a column; None where a line is too short or the cell is empty."""
+        """Return the texts of a column; None if the line is too short or the cell is empty."""
         contents: list[str | None] = self._frame[str(n)].to_list()
         return contents
 
@@ -90,14 +90,14 @@ class Cells:
         ----------
         n : int
         forms : sequence of str
-            From :func:`.cells.clock_formats`; the one that reads most cells is used.
+            From :func:`.cells.clock_formats`; the form that reads most cells is used.
         origin : int, optional
-            Reference stamp [ns]; default: the first one.
+            Reference stamp [ns]; default: the first stamp.
 
         Returns
         -------
         seconds : (rows,) ndarray
-            Since the origin [s], with all digits; NaN where a cell is not a stamp.
+            Time since the origin [s], with all digits; NaN if a cell is not a stamp.
         whole : bool
             Whether all cells are stamps.
         origin : int, optional
@@ -114,7 +114,7 @@ class Cells:
 
 
 def _nanoseconds(text: pl.Series, form: str) -> pl.Series:
-    """Read stamps of one form [ns], since midnight or since 1970; null for others."""
+    """Read stamps of one form [ns], since midnight or since 1970; other texts become null."""
     if form.startswith("%H"):
         return text.str.to_time(form, strict=False).cast(pl.Int64)
     return text.str.to_datetime(form, time_unit="ns", strict=False).cast(pl.Int64)

@@ -1,4 +1,4 @@
-"""Bytes of a text file: encoding, head, tail, and a copy if it cannot be read in place."""
+"""Bytes of a text file: encoding, head, tail, and a copy if the file cannot be read in place."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ....errors import RecordError
 from .cells import MINUS
 from .packed import open_packed, whole
 
-#: Bytes examined at each end.
+#: Bytes examined at each end of a file.
 END = 65536
-#: First lines searched for the structure of a file; the preamble of an instrument has a hundred
-#: lines at most, a repeated descriptor somewhat more.
+#: Number of first lines searched for the structure of a file. The preamble of an instrument has at
+#: most a hundred lines; a repeated descriptor has a few more.
 HEAD_LINES = 600
-#: Bytes of these lines; a log with the most columns has about ten lines in them.
+#: Largest number of bytes in these lines: about ten lines of a log with the most columns.
 HEAD = 1 << 22
-#: First characters of comments between rows.
+#: First characters of comments that are between rows.
 BETWEEN = ("#", "%")
-#: Characters of a line without values.
+#: Characters that a line without values may contain.
 EMPTY = " \t\r\n,;|"
 #: Bytes parsed at once: about ten thousand rows.
 BLOCK = 1 << 22
-#: Columns of a smaller file [bytes] are parsed once and kept: a run reads a log five times.
+#: Columns of files below this size [bytes] are parsed once and kept: a run reads a log five times.
 KEPT = 1 << 26
-#: Largest size of kept columns [bytes]: one-character cells take eight times as much as numbers.
+#: Largest size of kept columns [bytes]: as numbers, cells of one character are 8 times as large.
 KEPT_NUMBERS = 1 << 28
 
 
@@ -45,7 +45,7 @@ def open_bytes(path: Path) -> IO[bytes]:
     Raises
     ------
     RecordError
-        While reading: the compressed data are damaged.
+        The compressed data are damaged; raised while reading.
     """
     return open_packed(path) if is_packed(path) else path.open("rb")
 
@@ -69,7 +69,7 @@ def encoding_of(path: Path) -> str:
         if max(odd, even) < 0.4 * len(head) / 2 or min(odd, even) > 0.1 * len(head) / 2:
             raise RecordError(
                 f"{path}: this is not text, and its ending, {path.suffix or 'none'}, is not a "
-                f"known format. Save it as CSV, Parquet or npz"
+                f"known format. Save the log as CSV, Parquet or npz"
             )
         return "utf-16-le" if odd > even else "utf-16-be"
     try:
@@ -88,7 +88,7 @@ def first_lines(path: Path, encoding: str) -> list[str]:
 
 
 def further_lines(path: Path, encoding: str, places: int = 8) -> list[str]:
-    """Return a few complete lines from further down, if seeking is cheap."""
+    """Return a few complete lines from later parts of the file, if seeking is cheap."""
     if is_packed(path) or encoding.startswith("utf-16"):
         return []
     lines: list[bytes] = []
@@ -98,7 +98,7 @@ def further_lines(path: Path, encoding: str, places: int = 8) -> list[str]:
             return []
         for n in range(1, places):
             file.seek(size * n // places)
-            lines += list(islice(whole(file, path), 21))[1:]  # the first one is cut
+            lines += list(islice(whole(file, path), 21))[1:]  # the first line is cut
     return [_decode(line, encoding) for line in lines]
 
 
@@ -107,9 +107,9 @@ def _decode(line: bytes, encoding: str) -> str:
 
 
 def last_line(path: Path, encoding: str) -> tuple[str, int]:
-    """Return the last line with values, and the number of lines without values below it.
+    """Return (last line with values, number of lines without values below this line).
 
-    Return ("", 0) for compressed files, whose end is expensive to reach.
+    Return ("", 0) for compressed files, because reading up to their end is slow.
     """
     if is_packed(path):
         return "", 0
@@ -149,7 +149,7 @@ def interrupted(block: bytes) -> bool:
 
 
 def blocks(path: Path, start: int) -> Iterator[bytes]:
-    """Yield blocks of whole lines from a byte on, some megabytes each."""
+    """Yield blocks of whole lines from byte `start` on; a block has a few megabytes."""
     with open_bytes(path) as file:
         file.seek(start)
         while chunk := file.read(BLOCK):
@@ -185,7 +185,7 @@ class Copy:
                 yield number, text
 
     def line(self, row: int) -> int:
-        """Return the line of the file, from 0, of a row of the copy."""
+        """Return the line number, from 0, that a row of the copy has in the file."""
         for n, (number, _) in enumerate(self._numbered_rows()):
             if n == row:
                 return number

@@ -1,9 +1,10 @@
-"""Find the table in a text file, and the header and preamble above it.
+"""Find the table in a text file, and the header and preamble above the table.
 
-Rows of a table are alike: equally many cells, with numbers in the same places. Rows further down
-define the pattern; the first line that matches it is the first row. The names are directly above,
-perhaps with a row of units between. Above the names is a preamble, which is searched for the sample
-rate. No instrument is known by name, except an old one with its preamble beside the data.
+Rows of a table are alike: they have equally many cells, with numbers in the same columns. Later
+rows define the pattern of a row; the first line with this pattern is the first row. The names are
+directly above the first row, or above a row of units. Above the names is a preamble, which is
+searched for the sample rate. The search does not use the names of instruments, except for an old
+oscilloscope whose preamble is beside the data.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ from .cells import (
 #: First characters of header lines and comments.
 COMMENT = ("#", "%", "//", "!", "'")
 NUMBER, EMPTY, CLOCK, TEXT = "nect"
-#: Lines examined to find the pattern of a row.
+#: Number of lines examined to find the pattern of a row.
 SAMPLE = 80
-#: Largest number of columns; the widest logs have some hundred.
+#: Largest number of columns; the widest logs have a few hundred columns.
 MOST_COLUMNS = 10_000
 
-#: First cells of a row of units, of names, of labels, and of other rows between names and data.
+#: First cells of header rows: of units, of names, of labels, and of other rows above the data.
 _UNIT_ROW = ("yunitlabel", "unit", "units", "verticalunits", "vertunits", "vunit", "yunit")
 _NAME_ROW = ("tracename", "tracenames", "signal", "signals", "name", "names", "channelname")
 _LABEL_ROW = ("label", "labels")
@@ -45,7 +46,7 @@ _OTHER_ROW = ("hunit", "hoffset", "hresolution", "unitoffset", "unitscalefactor"
 _MARKS = ("data", "waveformdata", "timetags", "endofheader")
 #: Cells of metadata below the names, such as "Unit: V".
 _METADATA = re.compile(r"^(Type|Unit|Interp|BlockPath|PortIndex|Enum)\s*:\s*(.*)$")
-#: Channel names of an instrument, which labels of its user replace.
+#: Channel names that an instrument assigns; labels from its user replace these names.
 _NUMBERED_NAME = re.compile(r"^(CH|C|Channel )\s?\d+$", re.IGNORECASE)
 #: Header cells without a column below them.
 _NO_COLUMN = ("comment", "start", "increment")
@@ -61,7 +62,7 @@ class Structure:
     delimiter : str
     decimal_comma : bool
     names : tuple of (str or None)
-        One per cell; None for cells that are not read.
+        One name per cell; None if the cell is not read.
     first_line : int
         Line number of the first row, from 0.
     above : tuple of str
@@ -80,7 +81,7 @@ class Structure:
 def find_structure(
     lines: list[str], further: list[str], where: str, header: list[str] | None
 ) -> Structure:
-    """Find the structure of a file from its first lines and some from further down.
+    """Find the structure of a file from its first lines and some later lines.
 
     Parameters
     ----------
@@ -100,12 +101,13 @@ def find_structure(
     delimiter, kinds = row_kind(lines, further)
     if len(kinds) > MOST_COLUMNS:
         raise RecordError(
-            f"{where}: a row has {len(kinds)} cells, more than {MOST_COLUMNS}; keep those needed"
+            f"{where}: a row has {len(kinds)} cells, more than {MOST_COLUMNS}; keep only the "
+            f"columns that are needed"
         )
     if not kinds.strip(EMPTY) and len(lines) > SAMPLE:
         raise RecordError(
             f"{where}: no rows of numbers are found in its first {len(lines)} lines. Is this a "
-            f"log? If its preamble is longer, remove it"
+            f"log? If the preamble is longer, remove the preamble"
         )
     first_row = _first_row(lines, delimiter, kinds)
     content = [line for line in [*lines[first_row:], *further] if line.strip()]
@@ -143,12 +145,12 @@ def find_structure(
 
 
 def _may_hold_values(name: str, heading: _Header) -> bool:
-    """Return whether to keep an empty column: without a sample rate its values may begin later."""
+    """Return whether an empty column is kept: its values may begin later if no rate is stated."""
     return bool(name) and heading.sample_time is None
 
 
 def row_kind(lines: list[str], further: list[str]) -> tuple[str, str]:
-    """Return the delimiter of the rows, and the kind of each of their cells."""
+    """Return (delimiter, kinds): the delimiter of the rows and the kind of each cell of a row."""
     sample = [line for line in lines if line.strip()]
     sample = [*sample[len(sample) // 2 :], *(line for line in further if line.strip())][-SAMPLE:]
     best: tuple[float, int, str, str] = (0.0, 0, ",", "")
@@ -160,7 +162,7 @@ def row_kind(lines: list[str], further: list[str]) -> tuple[str, str]:
         width, count = Counter(map(len, rows)).most_common(1)[0]
         similar = [row for row in rows if len(row) == width]
         kinds = "".join(_usual_kind(column) for column in zip(*similar, strict=True))
-        # rows of several cells are stronger evidence than single cells
+        # rows with several cells are stronger evidence than rows with one cell
         rating = (count / len(sample) * (1.0 if width > 1 else 0.5), width, delimiter, kinds)
         if rating[:2] > best[:2]:
             best = rating
@@ -191,13 +193,13 @@ def _is_row(kinds: str) -> bool:
 
 
 def _usual_kind(column: tuple[str, ...]) -> str:
-    """Return the most frequent kind of a cell where it is not empty."""
+    """Return the most frequent kind among the cells of a column that are not empty."""
     full = [kind for kind in column if kind != EMPTY]
     return Counter(full).most_common(1)[0][0] if full else EMPTY
 
 
 def is_alike(kinds: str, usual: str) -> bool:
-    """Return whether a line is a row: the usual numbers and texts, or empty cells."""
+    """Return whether a line is a row: each cell is of the usual kind or empty."""
     if len(kinds) != len(usual) or not _is_row(kinds):
         return False
     if usual.startswith(EMPTY) and kinds.startswith(TEXT):  # a key
@@ -206,7 +208,7 @@ def is_alike(kinds: str, usual: str) -> bool:
 
 
 def _first_row(lines: list[str], delimiter: str, usual: str) -> int:
-    """Return the index of the first row that is followed by another row."""
+    """Return the index of the first row after which another row follows."""
     content = [n for n, line in enumerate(lines) if line.strip()]
 
     def kinds(at: int) -> str:
@@ -223,7 +225,7 @@ def _first_row(lines: list[str], delimiter: str, usual: str) -> int:
 
 
 def _with_a_mistake(kinds: str, usual: str) -> bool:
-    """Return whether a line is a row but for a few cells."""
+    """Return whether a line is a row except for a few cells."""
     mostly = 2 * kinds.count(NUMBER) > len(usual)
     return len(kinds) == len(usual) and mostly and kinds[0] == usual[0]
 
@@ -272,7 +274,7 @@ class _Header:
         return not cells or (len(cells) == 1 and key(cells[0]) in _MARKS)
 
     def _cells(self, line: int) -> list[str]:
-        """Split a header line like the rows, or with another delimiter if that fits better."""
+        """Split a header line like the rows, or by another delimiter that fits better."""
         bare = _bare(self.lines[line])
         cells = split(bare, self.delimiter)
         if len(cells) == self.width or (len(cells) > self.width and self.delimiter != " "):
@@ -284,7 +286,7 @@ class _Header:
         return cells
 
     def _find_keyed_row(self, above: list[int], keys: tuple[str, ...]) -> list[str] | None:
-        """Return the last preamble row that begins with one of the keys, one cell per column."""
+        """Return one cell per column from the last preamble row that begins with a key."""
         for n in reversed(above):
             cells = self._cells(n)
             if key(cells[0]) not in keys or sum(bool(cell) for cell in cells) < 2:
@@ -294,7 +296,7 @@ class _Header:
             if len(cells) == self.width + 1:
                 return cells[1:]
             if len(cells) == self.width:
-                # the key is above an empty cell, or above the time of all columns
+                # the key is above an empty cell, or above the common time column
                 return ["" if self.kinds[:1] == EMPTY else "Time [ms]", *cells[1:]]
         return None
 
@@ -321,13 +323,13 @@ class _Header:
             row = self.lines[self.first].strip() if self.first < len(self.lines) else ""
             raise RecordError(
                 f"{where}, line {self.first + 1}: expected a header with column names, found "
-                f'numbers: {row[:60]!r}. Name them with --header "t,u_a,…", or add a line of names '
-                f"above"
+                f'numbers: {row[:60]!r}. Name the columns with --header "t,u_a,…", or add a '
+                f"line of names above"
             )
         cells = self._cells(self.names_line)
         surplus = cells[self.width :]
         if any(cell and "=" not in cell and key(cell) not in _NO_COLUMN for cell in surplus):
-            # rows that are too short are reported when they are read
+            # rows that are too short are reported during reading
             return cells
         cells = cells[: self.width] + [""] * (self.width - len(cells))
         labels = self._labels()
@@ -337,7 +339,7 @@ class _Header:
         ]
 
     def _labels(self) -> dict[int, str]:
-        """Return the labels that the user of an instrument gave its channels, by column."""
+        """Return column → label, from the labels that the user of an instrument has set."""
         for n in self.preamble:
             cells = self._cells(n)
             if key(cells[0]) in _LABEL_ROW:
@@ -360,13 +362,13 @@ class _Header:
         return {name: cell for name, cell in zip(names, cells, strict=False) if known(cell)}
 
     def _timing(self) -> tuple[float | None, float | None]:
-        """Return sample time and start from the preamble."""
+        """Return (sample time, start) from the preamble."""
         interval = start = None
         commas_split = self.delimiter == ","
         pairs = [pair for n in self.preamble for pair in _pairs(self.lines[n], commas_split)]
         if self.names_line >= 0:
             pairs += _pairs(self.lines[self.names_line], commas_split)
-            if self.units_line >= 0:  # names "Start, Increment" over numbers in the row of units
+            if self.units_line >= 0:  # "Start, Increment" may be above numbers in the row of units
                 cells = zip(
                     self._cells(self.names_line), self._cells(self.units_line), strict=False
                 )
@@ -384,14 +386,14 @@ class _Header:
 
 
 def _pairs(line: str, commas_split: bool) -> list[tuple[str, str]]:
-    """Split a preamble line into names and values: "a=1", "a: 1", "a,1" or "a<tab>1"."""
+    """Split a preamble line, for example "a=1", "a: 1", "a,1" or "a<tab>1", into name and value."""
     marks = r"[\t;,]|\s=\s|=|:\s?" if commas_split else r"[\t;]|\s=\s|=|:\s?"
     items = [item.strip().strip('"') for item in re.split(marks, _bare(line))]
     return list(pairwise(item for item in items if item))
 
 
 def _check_repeated(names: list[str | None], where: str, line: int) -> None:
-    """Number repeated names; raise RecordError if the name of a channel repeats."""
+    """Add the column number to repeated names; raise RecordError if a channel's name repeats."""
     seen: set[str | None] = set()
     for n, name in enumerate(names):
         if name is None or name not in seen:
@@ -406,7 +408,7 @@ def _check_repeated(names: list[str | None], where: str, line: int) -> None:
 
 
 def _has_preamble_beside(lines: list[str], delimiter: str) -> bool:
-    """Return whether the preamble is left of the data, as in files of old Tektronix scopes."""
+    """Return whether the preamble is to the left of the data, as in files of old oscilloscopes."""
     cells = split(lines[0], delimiter)
     return len(cells) >= 5 and key(cells[0]) == "recordlength" and all(map(is_number, cells[3:5]))
 

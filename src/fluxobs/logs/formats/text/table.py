@@ -1,4 +1,4 @@
-"""Tables in delimited text, with any delimiter, decimal point or comma, and any preamble."""
+"""Tables in delimited text with any delimiter, any preamble, and decimal points or commas."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TextTable(Table):
     path : Path
         A path that ends in .gz is decompressed.
     header : list of str, optional
-        Names of the columns, for a file without names, or instead of them.
+        Names of the columns, for a file without names, or to replace the file's names.
     """
 
     def __init__(self, path: Path, header: list[str] | None = None) -> None:
@@ -47,12 +47,12 @@ class TextTable(Table):
         self._index = {name: n for n, name in enumerate(structure.names) if name is not None}
         self.columns = list(self._index)
         self._clocks = self._find_clocks(lines)
-        #: First stamp of each clock [ns]: seconds since then keep all digits.
+        #: First stamp of each clock [ns]. Seconds since the first stamp keep all digits.
         self._origins: dict[str, int] = {}
         notes = []
         repeated = self._repeated_header(structure)
         if repeated:
-            notes.append("the header is repeated further down; these lines are left out")
+            notes.append("the header is repeated further down; the repeated lines are left out")
         spaces = structure.delimiter == " " and any(
             line != " ".join(line.split()) for line in lines[structure.first_line :]
         )
@@ -77,24 +77,24 @@ class TextTable(Table):
             self.rows -= 1
             notes.append(
                 f"the last line is cut off after {len(last_cells)} of "
-                f"{len(self._header_cells())} cells; it is left out"
+                f"{len(self._header_cells())} cells; this line is left out"
             )
         self.said = replace(structure.said, notes=tuple(notes))
 
     def _header_cells(self) -> list[str]:
-        """Return the names of the columns up to the last one that is read."""
+        """Return the names of the columns up to the last column that is read."""
         names = self.structure.names
         last = max((n for n, name in enumerate(names) if name is not None), default=-1)
         return [name or "" for name in names[: last + 1]]
 
     def _repeated_header(self, structure: Structure) -> frozenset[str]:
-        """Return the lines of the header if they are repeated below it."""
+        """Return the lines of the header if they are repeated between the rows."""
         if not structure.above or not source.repeats(self.path, structure.above[0], self._encoding):
             return frozenset()
         return frozenset(structure.above)
 
     def _find_clocks(self, lines: list[str]) -> dict[str, tuple[str, ...]]:
-        """Return columns of wall-clock stamps → formats that may read them."""
+        """Map each column of wall-clock stamps to the formats that may read the stamps."""
         for line in lines[self.structure.first_line :]:
             cells = split(line, self.structure.delimiter)
             if len(cells) >= len(self.columns):
@@ -106,7 +106,7 @@ class TextTable(Table):
         return {}
 
     def _find_blocks(self) -> None:
-        """Count the rows, and store the position of each block of them in the file."""
+        """Count the rows, and store the position of each block of rows in the file."""
         self._text = self.path if self._copy is None else self._copy.path
         self.random_access = not source.is_packed(self._text)
         self._kept: Columns = {}
@@ -128,7 +128,7 @@ class TextTable(Table):
         self._fits_memory = at < source.KEPT and numbers < source.KEPT_NUMBERS
 
     def _blocks(self, first: int, last: int) -> Iterator[tuple[int, bytes]]:
-        """Yield the blocks that hold these rows, each with the number of its first row."""
+        """Yield (number of the first row, block) for each block that contains some of the rows."""
         n = bisect_right(self._firsts, first) - 1 if self.random_access else 0
         for block in source.blocks(self._text, self._starts[n]):
             if self._firsts[n] >= last:
@@ -163,7 +163,7 @@ class TextTable(Table):
     def _read(self, names: Sequence[str], first: int, last: int, size: int) -> Iterator[Columns]:
         clocks = [self._index[name] for name in names if name in self._clocks]
         numbers = [self._index[name] for name in names if name not in self._clocks]
-        surplus = not self.structure.said.sample_time  # rows of instruments may end with delimiters
+        surplus = not self.structure.said.sample_time  # instruments may end rows with delimiters
         rest: Columns = {}
         for block_start, block in self._blocks(first, last):
             try:
@@ -175,7 +175,7 @@ class TextTable(Table):
                 unclosed = next((n for n, line in lines if line.count(b'"') % 2), 0)
                 raise RecordError(
                     f"{self.path}, {self.place(block_start + unclosed)}: a quotation mark "
-                    f"is not closed in its line. Close or remove it"
+                    f"is not closed in its line. Close or remove the mark"
                 )
             lower, upper = max(first - block_start, 0), min(last - block_start, parsed.rows)
             parsed = parsed.between(lower, upper)
@@ -212,7 +212,7 @@ class TextTable(Table):
         return {name: self._column(parsed, name)[0] for name in self.columns}
 
     def _column(self, parsed: Cells, name: str) -> tuple[Array, bool]:
-        """Return the numbers of a column, seconds for a clock, and whether all cells have one."""
+        """Return (numbers, whether all cells are numbers); the numbers of a clock are seconds."""
         n = self._index[name]
         if name not in self._clocks:
             return parsed.number(n)
@@ -222,7 +222,7 @@ class TextTable(Table):
         return values, complete
 
     def place(self, row: int) -> str:
-        """Return where a person finds a row in the file."""
+        """Return the place of a row in the file, for a message."""
         copy = self._copy
         return f"line {1 + (self.structure.first_line + row if copy is None else copy.line(row))}"
 
@@ -245,7 +245,7 @@ class TextTable(Table):
             except ValueError:
                 raise RecordError(
                     f"{self.path}, {self.place(block_start + row)}, column {name!r}: {text!r} is "
-                    f"not a number. Correct it, or leave the cell empty if the value is missing"
+                    f"not a number. Correct the cell, or leave it empty if the value is missing"
                 ) from None
 
     def _check_length(self, line: bytes, row: int) -> None:
@@ -254,12 +254,12 @@ class TextTable(Table):
         cells, width = len(split(text, self.structure.delimiter)), len(self._header_cells())
         if cells < width:
             raise RecordError(
-                f"{self.path}, {self.place(row)}: {cells} cells, the header has {width}. Complete "
-                f"the line or remove it"
+                f"{self.path}, {self.place(row)}: {cells} cells, but the header has {width}. "
+                f"Complete or remove the line"
             )
 
     def _ragged_error(self, reason: str) -> RecordError:
-        """Return an error that names the first line with too many cells, unlike the parser's."""
+        """Return an error that names the first line with too many cells; the parser names none."""
         width, first = len(self.structure.names), self.structure.first_line
         with source.open_bytes(self.path) as file:
             for number, raw in enumerate(file):
@@ -268,6 +268,7 @@ class TextTable(Table):
                     cells = len(split(line, self.structure.delimiter))
                     if cells > width:
                         return RecordError(
-                            f"{self.path}, line {number + 1}: {cells} cells, the header has {width}"
+                            f"{self.path}, line {number + 1}: {cells} cells, but the header has "
+                            f"{width}"
                         )
         return RecordError(f"{self.path}: cannot be read: {reason}")
