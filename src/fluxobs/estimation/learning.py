@@ -97,8 +97,9 @@ def learn(
 def adaptive_needed(observer: AdaptiveObserver, learnt: Learnt, plain: Prepared) -> bool:
     """Whether a log needs the adaptive observer.
 
-    Two conditions must hold. The log identifies the resistance or the inverter; and these disagree
-    with the given values, or noise does not explain the residual of the plain observer.
+    Two conditions must hold. First, the log identifies the resistance or the inverter. Second,
+    these values disagree with the given values, or noise does not explain the residual of the plain
+    observer.
     """
     resistive = [
         parameter for parameter in parameters(observer, learnt) if parameter.name != "magnet flux"

@@ -58,7 +58,7 @@ class LogRun:
 
     @property
     def rotor(self) -> RotatingMachine:
-        """The machine, if it rotates; it always does if a compiled observer ran."""
+        """The machine, which rotates in every run of a compiled observer."""
         return rotating(self.machine, "this part of a result")
 
     @property

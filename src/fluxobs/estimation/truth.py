@@ -27,7 +27,8 @@ MAX_ROWS, MAX_EDGES = 40_000, 200_000
 SPAN = 32
 #: Number of blocks of rows whose errors are assumed to be independent.
 BLOCKS = 40
-#: A ratio of turns within this relative distance of an integer means that many pole pairs.
+#: If the ratio of turns is this close (relative) to an integer, the integer is the number of pole
+#: pairs.
 WHOLE = 0.02
 #: Speeds must differ by this share of the largest speed to separate a delay from the zero.
 VARIED = 0.3
@@ -224,7 +225,7 @@ def _fit_angle(
     theta, raw, speed = columns["theta_e"], columns["raw"], columns["speed_e"]
     given_pole_pairs = machine.n_p if samples.channel == "theta_mech" else 1
     if not samples.square > 1.0:
-        message = "the angle hardly turns, though the flux does"
+        message = "the angle hardly turns, but the flux turns"
         return TruthFit(
             samples.channel, (), given_pole_pairs, (message,), np.nan, np.nan, wrong_turns=True
         )

@@ -1,4 +1,4 @@
-"""The passes over a log: the first learns the parameters, the second makes the estimates."""
+"""The passes over a log: the first pass learns the parameters, the second pass estimates."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def estimate(
         means all unknowns of the adaptive observer if the log needs this observer, else only drift.
     causal : bool
         By default, the adaptive observer learns from the whole log, then estimates with the
-        learnt parameters. If true, it learns while it estimates, as it would in firmware.
+        learnt parameters. If true, the observer learns while it estimates, as in firmware.
     memory : float, optional
         Memory of the least squares [s]. The default depends on the kind of machine.
     priors : mapping of {"resistance", "inverter", "asymmetry", "psi_f"} to float, optional

@@ -67,8 +67,8 @@ def figure(
 ) -> Figure:
     """Draw the picture of a run; the immersed observer has its own panels.
 
-    `fit` corrects the truth, from which the position error is computed. For `style` and `panels`,
-    see :meth:`Result.plot`.
+    The position error refers to the truth as corrected by `fit`. For `style` and `panels`, see
+    :meth:`Result.plot`.
     """
     import matplotlib as mpl
 
