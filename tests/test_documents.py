@@ -1,4 +1,4 @@
-"""The files that the documents name exist."""
+"""All files that the documents name exist."""
 
 from __future__ import annotations
 

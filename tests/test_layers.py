@@ -1,4 +1,4 @@
-"""Imports between rooms go down the floors in CONTRIBUTING.md's table."""
+"""Rooms import only from lower floors of the table in CONTRIBUTING.md."""
 
 import ast
 import re
@@ -10,7 +10,8 @@ import fluxobs
 
 ROOT = Path(fluxobs.__file__).parent
 TEXT = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text("utf-8")
-#: Room → floor. The compiled modules import nothing; the package itself, above all, is not listed.
+#: Room → floor. The compiled modules import nothing. The package itself is above all rooms and not
+#: listed.
 FLOOR = {
     **{
         room: int(floor)
@@ -19,7 +20,7 @@ FLOOR = {
     "_core": 0,
     "_core_single": 0,
 }
-#: Floors within a room, lowest first; modules not listed are on the top floor.
+#: Floors within a room, the lowest first. Other modules are on the top floor.
 WITHIN = {
     "core": (
         ("arrays", "printable", "validation"),
@@ -42,7 +43,7 @@ def place(module: str) -> str:
 
 
 def imports(path: Path) -> set[str]:
-    """Return the modules of the package that a file imports from, at its head or inside."""
+    """Return the modules of the package from which a file imports, at its head or in functions."""
     package = ["fluxobs", *path.relative_to(ROOT).parent.parts]
     modules = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -1,4 +1,4 @@
-"""Contract of machines/contract.py: every kind of machine fulfils it, with consistent answers."""
+"""Every kind of machine fulfils the contract of machines/contract.py with consistent answers."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_shapes_and_sizes_of_the_answers(machine):
     assert angle.shape == length.shape == (3,)
     assert (length > 0).all()
     std = machine.position_std(flux, 0.01 * flux, current)
-    # An error of 1 % of the flux turns the angle, or moves the body, by about 1 % of its span.
+    # An error of 1 % of the flux changes the position by about 1 % of the position's span.
     assert (std < 0.05 * machine.position_span).all()
     for channel in position.truths:
         true = machine.true_position(channel, 0.1 * angle / getattr(machine, "n_p", 1))
@@ -72,7 +72,7 @@ ROTATING = [machine for machine in EXAMPLES if isinstance(machine, RotatingMachi
 
 @pytest.mark.parametrize("machine", ROTATING, ids=lambda machine: machine.kind)
 def test_flux_in_rotor_coordinates_satisfies_the_relation(machine):
-    """λ - L i lies along d; its length follows from saliency and magnet flux."""
+    """λ - L i lies along d; saliency and magnet flux determine its length."""
     i_dq = np.array([0.0, 2 + 3j, 1 - 4j]) if machine.magnets else np.array([2 + 3j, 1 - 4j])
     turn = np.exp(0.7j)
     flux, current = (
@@ -103,7 +103,7 @@ def test_a_missing_psi_f_is_reported():
 
 
 class TwoCoils(Machine):
-    """Rotating machine that implements the contract itself: coils a and b, angle in turns."""
+    """Rotating machine that implements the whole contract: coils a and b, angle in turns."""
 
     kind = "two-coils"
     frame = "ports"
@@ -161,13 +161,13 @@ def machine(request):
 
 
 def states(machine, count=50):
-    """Return random positions, with fluxes and currents that belong to them."""
+    """Return random positions, with the corresponding fluxes and currents."""
     rng = np.random.default_rng(3)
     size = machine.flux_base(machine.rated_current)
     if isinstance(machine, RotatingMachine):
         theta = rng.uniform(-3, 3, count)
         i_d, i_q = machine.rated_current * rng.uniform(0.3, 1, (2, count))
-        i_d *= -1 if machine.saliency < 0 else 1  # such that the reluctance torque adds
+        i_d *= -1 if machine.saliency < 0 else 1  # the reluctance torque then adds
         turn = np.exp(1j * theta)
         current = (i_d + 1j * i_q) * turn
         flux = machine.flux_dq(i_d + 1j * i_q) * turn
@@ -207,7 +207,7 @@ def test_the_relation_holds_at_every_state(machine):
     size = np.abs(constraint.Q1).max() * machine.flux_base(machine.rated_current) ** 2
     expected = np.zeros(len(flux))
     if isinstance(machine, RotatingMachine) and machine.saturation:
-        return  # its relation is that of a linear machine, used for scales only
+        return  # the relation is for a linear machine and gives only scales
     if isinstance(machine, MagnetMachine):  # residual of a salient machine: active flux² - ψ_f²
         _, length = machine.position(flux, current)
         expected = length**2 - machine.psi_f**2
@@ -286,7 +286,7 @@ def test_the_immersion_sees_the_flux_of_every_kind(machine):
 
 
 class WoundField(MagnetMachine):
-    """Kind of machine outside the package: one inductance under another name."""
+    """Kind of machine outside the package, with another name for the inductance."""
 
     kind: ClassVar[str] = "wound-field"
     inductances = ("L_sync", "L_sync")
@@ -295,7 +295,7 @@ class WoundField(MagnetMachine):
 
 
 def test_a_new_kind_is_one_class(monkeypatch, tmp_path):
-    """Once registered, it is read from files, estimated, identified, checked and exported."""
+    """A registered kind can be read from files, estimated, identified, checked and exported."""
     monkeypatch.setitem(KINDS, WoundField.kind, WoundField)
     file = tmp_path / "wound.toml"
     file.write_text(

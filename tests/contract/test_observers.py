@@ -1,7 +1,7 @@
 """Contract of every observer, whatever its method.
 
-Each entry of OBSERVERS is tested against all of it, except parts of the protocols in
-fluxobs.observers.base that it does not offer, such as resuming from a state.
+Each entry of OBSERVERS is tested against the whole contract, except parts of the protocols in
+fluxobs.observers.base that the observer does not offer, such as resuming from a state.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class Case:
     machine: str
     rows: int
     estimate: type = Estimate
-    #: It steps in JAX: run and step are compiled differently and agree only to rounding.
+    #: The observer steps in JAX: run and step are compiled differently and agree only to rounding.
     compiled: bool = False
-    #: Accepts missing samples. For those that do not, the comparison holds the last sample.
+    #: The observer accepts missing samples. If not, the comparison holds the last sample.
     takes_gaps: bool = True
 
 
@@ -169,7 +169,7 @@ def assert_same(estimate: Any, reference: Any, rows: Any, *, exact: bool) -> Non
 
 
 def leaves(state: Any) -> list[np.ndarray]:
-    """Return the numbers in a state, stored as bytes or not."""
+    """Return the numbers in a state, which may be stored as bytes."""
     if hasattr(state, "raw"):
         return [state.raw]
     values = vars(state).values() if hasattr(state, "__dataclass_fields__") else [state]
@@ -183,7 +183,7 @@ def equal_states(first: Any, second: Any) -> bool:
 
 @pytest.fixture(scope="module", params=OBSERVERS)
 def name(request):
-    """Name of an observer. Module scope: the tests of one observer run in a row."""
+    """Name of an observer. Due to the module scope, the tests of one observer run consecutively."""
     return request.param
 
 
@@ -216,7 +216,7 @@ def test_a_loop_of_steps_equals_a_run(name):
 
 
 def test_estimates_have_the_listed_fields_and_shapes(name):
-    """Names and shapes are those of :func:`outputs`; a baseline has some of them."""
+    """Names and shapes equal those of :func:`outputs`; a baseline has only some outputs."""
     observer, samples, case = observer_of(name), samples_of(name), OBSERVERS[name]
     listed = {output.name: output for output in outputs(case.estimate)}
     _, single = step_of(name)(observer.init(), samples.voltage[1], samples.current[1])

@@ -18,7 +18,7 @@ ROWS = 6
 
 
 class Magnet:
-    """A machine whose position is flux plus current of port 1, with that flux's deviation."""
+    """A machine whose position is flux plus current of port 1, with the flux's deviation."""
 
     ports = ("1", "2")
     position_span = 2.0

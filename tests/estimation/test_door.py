@@ -1,4 +1,4 @@
-"""The public functions: a log in any form gives the same numbers; misuse raises clear errors."""
+"""The public functions: a log gives the same numbers in every form; misuse raises clear errors."""
 
 import json
 from functools import cache
@@ -24,7 +24,7 @@ def signals():
 
 
 def phases(vectors):
-    """Return the phases of αβ vectors, with a zero sequence that must cancel."""
+    """Return the phases of αβ vectors, plus a zero sequence that must have no effect."""
     turn = np.exp(-2j * np.pi / 3 * np.arange(3))
     return ((vectors @ [1, 1j])[:, None] * turn).real + 0.7
 
@@ -36,7 +36,7 @@ def channels(**more):
 
 
 def sources(folder):
-    """Return every form of one log, with the options that it needs."""
+    """Return one log in every form, with the options of each form."""
     u, i, _ = signals()
     names = ("u_a", "u_b", "u_c", "i_a", "i_b", "i_c")
     three = dict(zip(names, (*phases(u).T, *phases(i).T), strict=True))
@@ -67,7 +67,7 @@ def test_every_form_of_a_log_gives_the_same_numbers(tmp_path):
         estimates = fluxobs.estimate(source, SERVO, **options).estimates
         expected = estimates if expected is None else expected
         assert estimates.columns == expected.columns, name
-        exact = name not in ("three phases", "mixed", "abc")  # rounding of the Clarke transform
+        exact = name not in ("three phases", "mixed", "abc")  # the Clarke transform rounds
         for column in estimates.columns:
             actual, reference = estimates[column].to_numpy(), expected[column].to_numpy()
             if exact or column == "valid":

@@ -1,4 +1,4 @@
-"""All texts of results, word by word: summary, warnings, facts, report, picture."""
+"""All texts of results are compared word by word: summary, warnings, facts, report, picture."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def a_reluctance_machine():
 
 
 def a_levitation():
-    """Estimate a swinging magnet with swinging fluxes; a row's voltage is the mean that follows."""
+    """Estimate a swinging magnet and fluxes; a row's voltage is the mean of the next interval."""
     machine, t = example("maglev-knospe"), 2e-3 * np.arange(3001)
     y = 1e-4 * np.sin(12 * t)
     flux = 2e-5 * np.stack([1 + 0.3 * np.sin(20 * t), 1 + 0.2 * np.cos(27 * t)], axis=1)

@@ -1,4 +1,4 @@
-"""Results in a notebook: complete, escaped, with the numbers of the text."""
+"""Results in a notebook are complete and escaped, and have the numbers of the text."""
 
 from html.parser import HTMLParser
 
@@ -11,7 +11,7 @@ VOID = ("img",)
 
 
 class Checked(HTMLParser):
-    """A parser that requires tags to be closed in order, and collects the text."""
+    """A parser that collects the text and requires that tags are closed in order."""
 
     def __init__(self, text):
         super().__init__()

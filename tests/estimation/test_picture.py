@@ -1,4 +1,4 @@
-"""Panels of a picture drawn from given rows: lines, bands and limits in closed form."""
+"""Panels of a picture from given rows: lines, bands and limits are known in closed form."""
 
 from types import SimpleNamespace
 
@@ -86,7 +86,7 @@ def test_a_position_that_was_never_valid(axes):
 
 @pytest.mark.parametrize("first", [0, 100, 900])
 def test_eight_turns_around_the_first_valid_row(first):
-    """As many rows are shown before it as after it."""
+    """The panel shows as many rows before the first valid row as after it."""
     theta = 2 * np.pi * 0.0205 * np.arange(2000)
     rows = {
         "theta_e": np.angle(np.exp(1j * theta)),

@@ -1,4 +1,4 @@
-"""Unsuitable input: the message names the place, the value and what would be accepted."""
+"""The message on unsuitable input names the place, the value and acceptable input."""
 
 import numpy as np
 import pytest

@@ -151,8 +151,8 @@ def test_unknown_panels_and_styles(adaptive):
     for options, words in (
         ({"style": "one colum"}, "did you mean 'one column'"),
         ({"panels": ["eror"]}, "did you mean 'error'"),
-        ({"panels": []}, "choose different ones of locus"),
-        ({"panels": ["speed", "speed"]}, "choose different ones"),
+        ({"panels": []}, "at most once: locus"),
+        ({"panels": ["speed", "speed"]}, "at most once: locus"),
     ):
         with pytest.raises(fluxobs.UsageError, match=words):
             adaptive.plot(**options)

@@ -1,4 +1,4 @@
-"""Statistics of a run equal those of all rows at once, whatever the batches."""
+"""Statistics of a run do not depend on the batches."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The errors of a truth channel are found with their standard deviations, and no others."""
+"""Errors of a truth channel are found, with standard deviations; no other errors are reported."""
 
 import re
 from itertools import pairwise
@@ -129,7 +129,7 @@ def test_a_dead_sensor_does_not_raise(channel):
 
 
 def hall(order="abc", zero=0.1, shift=0.0):
-    """Return signals of sensors at 0°, 120°, 240° of the flux, the second moved by `shift`."""
+    """Return signals of sensors at 0°, 120°, 240° of the flux; `shift` moves the second sensor."""
     angle = THETA + zero
     signals = {}
     for n, name in enumerate("abc"):
@@ -150,7 +150,7 @@ def test_hall_edges():
 def test_a_hall_sensor_out_of_place():
     fit = fitted("hall", hall(shift=np.radians(8))).truth_fit
     worst = float(fit.words[-1].split(" is ")[-1].rstrip("°"))
-    assert 4 < abs(worst) < 8  # relative to the zero of the other edges
+    assert 4 < abs(worst) < 8  # relative to the zero of all other edges
 
 
 def test_hall_wires_exchanged():
@@ -213,9 +213,9 @@ def test_every_second_current_missing():
 @pytest.mark.parametrize(
     ("after", "words"),
     [
-        (lambda angle: angle[6000], r"from 1\.1\d+ to 2 s it stands still"),
-        (lambda angle: angle + 0.3, r"at about 1\.[12]\d* s its zero steps by -6[89].* electrical"),
-        (lambda angle: angle + 0.05, r"at about 1\.[12]\d* s its zero steps by -11.[345]"),
+        (lambda angle: angle[6000], r"from 1\.1\d+ to 2 s the channel stands still"),
+        (lambda angle: angle + 0.3, r"at about 1\.[12]\d* s the zero steps by -6[89].* electrical"),
+        (lambda angle: angle + 0.05, r"at about 1\.[12]\d* s the zero steps by -11.[345]"),
     ],
 )
 def test_an_encoder_that_stops_or_slips(after, words):
@@ -236,8 +236,8 @@ def test_a_speed_that_drops_out():
 def test_errors_that_repeat_within_a_turn_are_in_the_standard_deviations():
     """Rows within a turn are not independent.
 
-    An error with three periods per turn, which no parameter explains, counts once per turn, and
-    for the delay once for the whole range of speed.
+    No parameter explains an error with three periods per turn. This error counts once per turn, and
+    for the delay once in the whole range of speed.
     """
     faults = encoder(zero=0.1, once=0.01, delay=50e-6)
     shaft = THETA / N_P

@@ -1,4 +1,4 @@
-"""The fit of a truth channel on closed-form rows: exact parameters, limits from both sides."""
+"""Fit of a truth channel to closed-form rows: exact parameters; limits tested from both sides."""
 
 import re
 from types import SimpleNamespace
@@ -136,7 +136,7 @@ def test_turns_are_a_whole_number_within_two_percent(ratio, accepted):
 
 @pytest.mark.parametrize(("turned", "still"), [(1.02, False), (0.98, True)])
 def test_an_angle_that_hardly_turns(turned, still):
-    """The squared turned angles of spans of 32 rows must sum to more than one."""
+    """The sum of squared turned angles over spans of 32 rows must exceed one."""
     raw = np.arange(3200) * turned / 31 / 10
     fit = fitted("theta_mech", 4 * raw, raw, speed=1.0)
     assert ("hardly turns" in fit.words[0]) == still
@@ -185,7 +185,7 @@ def test_turns_are_counted_over_spans_of_32_usable_rows():
     valid = np.arange(100) != 40
     counted = samples("theta_mech", 3 * raw, raw, valid=valid, speed=1.0)
     turn = 31 * 0.01
-    assert counted.turned == pytest.approx(2 * turn)  # of three spans, one has a gap
+    assert counted.turned == pytest.approx(2 * turn)  # one of three spans has a gap
     assert counted.square == pytest.approx(2 * turn**2)
     assert counted.product == pytest.approx(3 * 2 * turn**2)
 
@@ -206,7 +206,7 @@ def test_equal_errors_within_a_block_count_once():
 
 
 def test_outliers_count_linearly():
-    """Huber's equation holds with errors clipped at 1.345 standard deviations (by the median)."""
+    """Huber's equation holds with errors clipped at 1.345 standard deviations (from the median)."""
     rng = np.random.default_rng(0)
     X = np.stack([np.ones(2000), rng.normal(size=2000)], axis=1)
     y = X @ [0.5, -2.0] + rng.normal(0, 0.1, 2000) + np.where(rng.random(2000) < 0.1, 3.0, 0.0)
@@ -240,25 +240,27 @@ def test_a_block_is_lost_beyond_five_degrees_or_four_times_the_typical_error(
 ):
     words = lost(error, (12, 13, 14), typical=typical)
     assert words == (
-        f"from 1.2 to 1.499 s it does not follow the flux, error {error:.3g}° rms"
+        f"from 1.2 to 1.499 s the channel does not follow the flux, error {error:.3g}° rms"
         if reported
         else None
     )
 
 
 def test_where_an_angle_is_lost():
-    assert lost(20, (12, 13, 14), still=True).startswith("from 1.2 to 1.499 s it stands still")
-    assert lost(20, (3,)).startswith("from 0.3 to 0.399 s it does not follow")
+    assert lost(20, (12, 13, 14), still=True).startswith(
+        "from 1.2 to 1.499 s the channel stands still"
+    )
+    assert lost(20, (3,)).startswith("from 0.3 to 0.399 s the channel does not follow")
     assert lost(20, (38, 39)).endswith("error 20° rms")
     assert lost(20, (12, 13), further=30).endswith("rms, and again later")
-    words = "from 1.1 to 3.999 s it does not follow the flux, error 20° rms"
+    words = "from 1.1 to 3.999 s the channel does not follow the flux, error 20° rms"
     assert lost(20, range(11, 40)) == words
-    assert lost(20, range(9, 40)) == "it does not follow the flux: error 20° rms"
+    assert lost(20, range(9, 40)) == "the channel does not follow the flux: error 20° rms"
     assert lost(4.9, range(40)) is None
 
 
 def test_an_angle_that_hardly_moves_stands_still():
-    """The limit is 0.1 rad in all."""
+    """An angle that moves by less than 0.1 rad in total stands still."""
     for turned, still in ((0.09, True), (0.11, False)):
         raw = COLUMNS["raw"].copy()
         raw[1300:1500] = np.linspace(0, turned, 200)
@@ -278,7 +280,7 @@ def test_a_slip_leaves_less_than_a_tenth_of_the_squared_error(share, slips):
         assert value == pytest.approx([0.2], abs=1e-4)
         assert covariance.shape == (1, 1)
         np.testing.assert_allclose(slip_residual, wobble, atol=1e-3)
-        assert re.match(r"at about 2\.5 s its zero steps by \+17\.2° ± \S+° electrical", clause)
+        assert re.match(r"at about 2\.5 s the zero steps by \+17\.2° ± \S+° electrical", clause)
 
 
 # ---- speed ----------------------------------------------------------------------------------
@@ -289,14 +291,14 @@ def test_the_gain_of_a_speed():
     assert fit["gain"].value == pytest.approx(1.02)
     assert fit.rms == pytest.approx(np.sqrt(np.mean((0.02 * SPEED / 1.02) ** 2)))
     assert fit.most == pytest.approx(0.02 * 280 / 1.02, rel=1e-3)
-    assert fit.words[0].startswith("estimated over given speed 1.0200 ± ")
+    assert fit.words[0].startswith("ratio of estimated to given speed 1.0200 ± ")
     mechanical = fitted("speed_mech", SHAFT, SPEED / 4, speed_mech=SPEED / 4)
     assert mechanical["gain"].value == pytest.approx(1.0)
     assert fitted("speed_mech", SHAFT, SPEED / 4)["gain"].value == pytest.approx(1.0)
 
 
 def test_a_speed_with_an_offset():
-    """The offset is fitted besides the gain if the speed varies by 30 %."""
+    """The fit includes gain and offset if the speed varies by 30 %."""
     for spread, exact in ((0.31, True), (0.29, False)):
         true_speed = 300 * (1 - spread * (1 + np.cos(3 * T)) / 2)
         gain = fitted("speed_e", SHAFT, true_speed, speed=1.1 * true_speed + 20)["gain"].value
@@ -318,7 +320,7 @@ def test_a_speed_that_does_not_follow(share, reported):
     estimated = true_speed + share * 150 * np.where(np.arange(ROWS) % 2, 1, -1)
     fit = fitted("speed_e", SHAFT, true_speed, speed=estimated)
     assert (fit.lost is not None) == reported
-    assert fit.lost is None or fit.lost.startswith("apart from the gain it differs by 10% of the")
+    assert fit.lost is None or fit.lost.startswith("with the gain corrected, the rms difference is")
 
 
 def test_a_speed_of_zero():
@@ -333,7 +335,7 @@ CODES = np.array([1, 3, 2, 6, 4, 5])
 
 
 def hall(zero=0.2, moved=0.0, direction=1):
-    """Return angle and code; the edge between states 3 and 2 is moved."""
+    """Return angle and code; `moved` displaces the edge between states 3 and 2."""
     theta = direction * np.linspace(0, 60.4, ROWS)
     edges = zero + np.arange(6) * np.pi / 3
     edges[2] += moved
@@ -344,7 +346,7 @@ def hall(zero=0.2, moved=0.0, direction=1):
 @pytest.mark.parametrize("size", [ROWS, 7])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_places_of_hall_edges(size, direction):
-    """The edges are exact within a step of the angle, 0.015 rad, from both sides."""
+    """Edges in both directions are exact within one step of the angle, 0.015 rad."""
     fit = fitted("hall", *hall(direction=direction), size=size)
     places = {parameter.name: parameter.value for parameter in fit.parameters}
     pairs = ["1-5", "1-3", "2-3", "2-6", "4-6", "4-5"]
@@ -357,7 +359,7 @@ def test_places_of_hall_edges(size, direction):
 
 
 def test_a_hall_edge_out_of_place():
-    """An edge displaced by 12° moves the common zero by 2°, so 10° remain."""
+    """An edge displaced by 12° moves the common zero by 2°, so the edge's deviation is 10°."""
     fit = fitted("hall", *hall(moved=np.radians(12)))
     assert float(fit.words[-1].split(" is ")[1].rstrip("°")) == pytest.approx(10, abs=0.7)
 
@@ -375,7 +377,7 @@ def test_invalid_hall_codes():
 @pytest.mark.parametrize(("machine", "turn"), [(SERVO, 1), (SYNRM, 2)])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_zero_where_errors_wrap(machine, turn, sign):
-    """The zero is half a turn, or a quarter for a machine that is symmetric by half a turn."""
+    """The zero is half a turn; for a machine that is symmetric by half a turn, a quarter turn."""
     zero, noise = sign * np.pi / turn, 0.05 * np.random.default_rng(0).standard_normal(ROWS)
     fit = fitted("theta_e", SHAFT * SERVO.n_p + zero + noise, SHAFT * SERVO.n_p, machine)
     error = turn * (fit["zero"].value - zero)
@@ -384,12 +386,12 @@ def test_a_zero_where_errors_wrap(machine, turn, sign):
 
 
 def test_blocks_of_one_row_or_no_row():
-    """A block is judged by the rows that it has."""
+    """The rms error of a block is that of its rows, however few."""
     row = np.delete(np.arange(BLOCKS), [3, 7])
     columns = {"row": row, "t": 0.5 * row, "raw": 0.2 * row}
     residual = np.zeros(len(row))
     assert _lost(columns, residual) is None
     residual[row == 5] = 1.1 * LOST
-    assert _lost(columns, residual).startswith("from 2.5 to 2.5 s it stands still, error")
+    assert _lost(columns, residual).startswith("from 2.5 to 2.5 s the channel stands still, error")
     residual[row == 5] = 0.9 * LOST
     assert _lost(columns, residual) is None

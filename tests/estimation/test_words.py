@@ -1,4 +1,4 @@
-"""Summary, warnings and choices of a run, for closed-form runs; limits from both sides."""
+"""Summary, warnings and choices of closed-form runs; limits are tested from both sides."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -96,7 +96,7 @@ def test_numbers_of_a_summary(run):
     )
     assert paragraph(result, None, None) == (
         "3000 samples, 0.3 s at 10000 Hz; each logged voltage acts from its row to the next "
-        "(lag 0). The position is valid on 50.0% of the rows, first 12.5 mV "
+        "(lag 0). The position is valid on 50.0% of the rows, for the first time 12.5 mV "
         "after the start. Drift of the flux integral: (+0.03, -0.04) V in αβ, equivalent to a "
         "voltage offset of 50 mV or a current offset of 139 mA through R_s. Magnet flux: 12.5 "
         "mWb. Position error against the true angle on 1000 valid rows: 2.00° rms, 7.25° at "
@@ -214,7 +214,7 @@ def test_a_residual_of_one_percent(run, share, warned):
 
 @pytest.mark.parametrize(("times", "doubted"), [(2.99, False), (3.01, True)])
 def test_a_residual_of_three_times_the_noise(times, doubted):
-    """The noise of each component is the current's, times twice inductance and flux."""
+    """The noise of each component is the current's noise times 2 x inductance x flux."""
     flux, noise = 0.0125, 0.5
     share = SERVO.constraint_noise(flux, noise) / flux**2
     assert share > 0.01
@@ -233,7 +233,7 @@ def test_half_of_the_prior_is_identifiable():
 
 
 class LongLog:
-    """The parts of a log that the choice of segments uses."""
+    """The attributes of a log that the choice of segments uses."""
 
     def __init__(self, rows, random_access=True):
         self.first, self.last = 7, 7 + rows
@@ -258,7 +258,7 @@ ADAPTIVE = AdaptiveObserver.for_machine(
 
 
 def learnt(resistance=(0.0, 0.01), inverter=(0.0, 0.01)):
-    """Return learnt values from pairs (error in standard deviations, their share of the prior)."""
+    """Return learnt values from pairs (error in standard deviations, share of the prior)."""
     r_std = resistance[1] * ADAPTIVE.resistance_std
     v_std = inverter[1] * ADAPTIVE.inverter_std
     return SimpleNamespace(
@@ -313,7 +313,7 @@ def test_only_unknown_parameters_are_listed():
 
 
 def test_whether_noise_explains_the_residual(run, log):
-    """It does for the true machine, not for one with three times its resistance."""
+    """Noise explains the residual of the true machine, not of a machine with three times R_s."""
     for machine, fits in ((SERVO, True), (SERVO.with_values(R_s=3 * SERVO.R_s), False)):
         prepared = prepare.prepare(log, machine, ("drift",), None, {})
         assert learning._fits(prepared) == fits
@@ -362,7 +362,7 @@ def test_a_log_too_slow_for_the_usual_memory(log):
 
 
 def test_the_usual_speed():
-    """It is the speed of the currents, but not above voltage over flux."""
+    """The usual speed is the speed of the currents, limited to voltage over flux."""
     base = SERVO.flux_base(SCALES.current)
     assert usual_speed(SERVO, SCALES, None) == 500.0
     slow = replace(SCALES, voltage=100 * base)
@@ -392,7 +392,7 @@ def test_priors_too_large_for_standard_deviations(log, name, largest):
 
 
 def test_the_observer_of_a_levitation():
-    """Its sizes follow from those of the machine and the log."""
+    """Sizes in the observer follow from sizes of the machine and the log."""
     machine = example("maglev-knospe")
     rows = 400
     wave = np.stack([1 + 0.1 * np.sin(0.1 * np.arange(rows)), np.ones(rows)], axis=1)
@@ -418,7 +418,7 @@ def test_the_observer_of_a_levitation():
 @pytest.mark.parametrize("size", [640, 10_000])
 @pytest.mark.parametrize("first", [100, 1500, 5000, 8999])
 def test_rows_for_a_picture(size, first):
-    """Keep every second of 9000 rows, and 1000 before to 2000 after the first valid row."""
+    """Keep every second of 9000 rows, and all rows 1000 before to 2000 after validity begins."""
     statistics = Statistics(9000)
     t = np.arange(9000.0)
     for begin in range(0, 9000, size):
@@ -460,7 +460,7 @@ def test_channels_and_their_conversions():
 
 @pytest.mark.parametrize("rated", [3.0, 12.0, 30.0])
 def test_without_a_rated_current_the_current_of_the_log_counts(log, rated):
-    """A given rated current counts whatever the log."""
+    """A given rated current is used for every log."""
     unknowns = ("drift", "resistance", "inverter")
     observers = [
         prepare.prepare(log, machine, unknowns, 0.02, {}, replace(SCALES, current=current)).observer
@@ -491,7 +491,7 @@ def test_the_dc_link_of_a_log_is_at_least_the_line_voltage(log):
 
 
 def test_the_columns_of_a_report(run):
-    """They have packed flags, exact times, and only columns that a picture shows."""
+    """A report has packed flags, exact times, and only columns that a picture shows."""
     columns = _columns(run)
     assert set(columns) == set(run.estimates.columns) - set(report.NOT_SHOWN)
     assert columns["valid"] == flags(run["valid"])

@@ -1,5 +1,4 @@
-"""Examination of a drive: simulated faults are found within their standard deviations, and a good
-drive passes."""
+"""Simulated faults of a drive are found within their standard deviations; a good drive passes."""
 
 import json
 
@@ -49,7 +48,7 @@ def test_a_good_drive_passes():
 
 @pytest.mark.slow
 def test_a_warm_winding_and_weak_magnets():
-    """The machine file holds the values of the cold and new motor."""
+    """The machine file has the values of the cold, new motor."""
     cold, new_flux = 0.36 / (1 + 0.00393 * 90), 0.0125 / 0.85
     _, items = page(machine=SERVO.with_values(R_s=cold, psi_f=new_flux))
     temperature = items["winding temperature"]
@@ -172,7 +171,7 @@ def test_facts_are_json(tmp_path):
 def test_verdicts():
     assert judge(0.5, 0.1, 1.0) == "fine"
     assert judge(1.5, 0.1, 1.0) == "look at it"
-    assert judge(1.1, 0.1, 1.0) == "fine"  # not beyond it by two standard deviations
+    assert judge(1.1, 0.1, 1.0) == "fine"  # it does not exceed the limit by two standard deviations
     assert judge(0.5, 0.9, 1.0) == "cannot be told"
     assert judge(9.0, 0.9, 1.0) == "look at it"
     assert Item("R", "fine", "", 0.35981, 0.0018, "Ω").told == "0.3598 ± 0.0018 Ω"

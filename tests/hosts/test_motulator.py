@@ -1,4 +1,4 @@
-"""Comparison with motulator's observer in closed loop: start, load step, reversal, dead time."""
+"""Comparison with motulator's observer in closed loop: start, load step, reversal and dead time."""
 
 from math import pi
 
@@ -33,7 +33,7 @@ def load(t):
 
 
 def simulate(par, with_fluxobs, dead_time=0.0, offset=0.0, psi_s_min=None, **settings):
-    """Return time, errors of the electrical angle [degrees], true and estimated speed, validity."""
+    """Return (time, error of the electrical angle [degrees], true and estimated speed, valid)."""
     sensor = Sensor(offset=[offset, -offset / 2, 0.0], std=0.02, rng=np.random.default_rng(1))
     machine = model.SynchronousMachine(par, i_s_sensor=sensor)
     mechanics = model.MechanicalSystem(J=0.015)
@@ -46,7 +46,7 @@ def simulate(par, with_fluxobs, dead_time=0.0, offset=0.0, psi_s_min=None, **set
 
     def watched(*arguments):
         outputs = feedback(*arguments)
-        turn = 360.0 if par.psi_f else 180.0  # a rotor without magnets is symmetric
+        turn = 360.0 if par.psi_f else 180.0  # without magnets, half a turn is ambiguous
         ahead = np.degrees(outputs.theta_m - par.n_p * mechanics.out.theta_M)
         error = (ahead + turn / 2) % turn - turn / 2
         valid = bool(placed.estimate.valid) if placed else True
@@ -74,7 +74,7 @@ def rms(t, error, segment):
 
 @pytest.mark.parametrize("dead_time", [0.0, 2e-6])
 def test_a_pmsm_beside_motulators_own_observer(dead_time):
-    """Offsets of 50 mA and noise; start from standstill, load step, reversal without load."""
+    """Start from standstill, load step, reversal without load; offsets of 50 mA, and noise."""
     t, own, *_ = simulate(PMSM, False, dead_time, offset=0.05)
     _, ours, true, estimated, valid = simulate(
         PMSM, True, dead_time, offset=0.05, unknowns=ADAPTIVE

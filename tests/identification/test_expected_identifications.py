@@ -74,5 +74,5 @@ def test_output_of_an_identification(make, tmp_path):
     if identification.map is not None:
         identification.write(tmp_path / "map.csv")
         output["table"] = (tmp_path / "map.csv").read_text().splitlines()[::7]
-    # The iteration ends within a share of the deviations; rounding differs between computers.
+    # The iteration ends at a small share of the deviations; rounding differs between computers.
     check(f"identification/{make.__name__}", output, share=1e-3)

@@ -1,4 +1,4 @@
-"""The results of this room do not change; those of arrays are compared as objects."""
+"""Results of this room are immutable; results with arrays are compared by identity."""
 
 from fluxobs import identification
 from support.frozen import frozen_tests

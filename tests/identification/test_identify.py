@@ -1,4 +1,4 @@
-"""identify: the parameters that a log identifies, and those that it cannot identify."""
+"""identify: the parameters that a log identifies, and the parameters that a log cannot identify."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def opened(path, samples, **layout):
 
 @pytest.fixture(scope="module")
 def rich(tmp_path_factory):
-    """A log with steps of load and a reversal, of a machine that differs from the given one."""
+    """A log with steps of load and a reversal; the machine differs from the given machine."""
     samples = course(
         R_s=R_S, psi_f=PSI_F, inverter=INVERTER, smoothing=SMOOTHING, voltage_bias=0.5 - 0.2j
     )
@@ -69,7 +69,7 @@ def test_a_log_that_identifies_nothing_is_an_error(steady):
 
 
 def test_finds_a_lag(tmp_path):
-    # The voltage of a row acts one sample later than the layout says.
+    # A row's voltage acts one sample later than the layout says.
     speed = profile((0, 0), (0.3, 400), (1.2, 400))
     samples = driven(PMSM, COURSE_TIME, speed, 4j * np.ones(len(speed)), noise=0.02)
     columns = log_columns(samples)
@@ -77,7 +77,7 @@ def test_finds_a_lag(tmp_path):
         columns[name] = np.concatenate([columns[name][1:], columns[name][-1:]])
     pl.DataFrame(columns).write_parquet(tmp_path / "log.parquet")
     log = read_log(tmp_path / "log.parquet")
-    # With the default standard deviation of R_s, half of it, psi_f and lag are ambiguous.
+    # With the default standard deviation of R_s, which is half of R_s, psi_f and lag are ambiguous.
     assert "lag" in identify(log, PMSM, free=("psi_f", "lag")).untold
     certain = PMSM.with_values(R_s_std=0.002, inverter_voltage=0.0, inverter_voltage_std=0.01)
     identified = identify(log, certain, free=("psi_f", "lag"))
@@ -86,7 +86,7 @@ def test_finds_a_lag(tmp_path):
 
 def test_finds_a_lag_and_all_others_from_a_distant_start(rich):
     identified = identify(rich, PMSM, free=("R_s", "L_s", "psi_f", "inverter", "lag"))
-    # At half speed a lag is visible, but inductance and lag both rotate the vector with the load.
+    # At half speed a lag is visible, but under load inductance and lag both rotate the vector.
     assert identified.after.converged
     assert identified.lag == pytest.approx(0, abs=0.1)
     assert identified.machine.R_s == pytest.approx(R_S, rel=0.01)
@@ -96,7 +96,7 @@ def test_finds_a_lag_and_all_others_from_a_distant_start(rich):
 @pytest.mark.parametrize("lag", [False, True])
 def test_offsets_and_a_knee_of_the_inverter_do_not_bias_the_others(stop, lag):
     # The demo log has offsets of 1 % of the rated current, which shift the sign changes of the
-    # phases, and an unusual knee. Shorter logs must report what they cannot identify.
+    # phases, and an unusual knee. Shorter logs must report which parameters they cannot identify.
     true = {"R_s": 0.36, "psi_f": 0.0125, "inverter": 0.15, "lag": 0.0}
     free = tuple(true) if lag else tuple(true)[:3]
     identified = identify(read_log(LOG, stop=stop), "servo-400w", free=free)
@@ -193,7 +193,7 @@ def test_command_line(rich, tmp_path):
 
 
 def test_twenty_rows_count_as_one_against_the_prior():
-    """Their errors repeat, so the row of the prior is heavier by √20."""
+    """Errors of rows repeat, so the row of the prior has a factor of √20."""
     rows = _make_prior_rows({"R_s": (0.4, 0.05), "L_q": (1.0, 0.1)}, ["psi_f", "R_s"])
     matrix = rows({"psi_f": 1.0, "R_s": 0.5})
     np.testing.assert_allclose(matrix, np.sqrt(20) * np.array([[0.0, 1 / 0.05, 2.0]]))

@@ -15,7 +15,7 @@ from support.records import log_columns, profile, white
 
 
 class Exact(SynchronousReluctance):
-    """The reluctance machine with its exact map instead of splines."""
+    """The reluctance machine with an exact map instead of splines."""
 
     def flux_dq(self, current):
         return MODEL.flux(current)
@@ -38,7 +38,7 @@ def identified(log):
 
 
 def test_fluxes_in_the_visited_region_and_their_standard_deviations(identified):
-    """Errors stay below 3 % of the flux, and within three standard deviations at 95 %."""
+    """Errors are below 3 % of the flux, and 95 % of them within three standard deviations."""
     assert identified.after.converged
     assert identified.machine.R_s == pytest.approx(0.63, rel=0.005)
     currents = (identified.map.visited[:, None] * np.array([0.9, 0.95, 1.0])).ravel()

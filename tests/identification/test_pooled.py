@@ -1,4 +1,4 @@
-"""One machine from many logs, and the logs that disagree."""
+"""Identification of one machine from many logs, and the logs that disagree."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ R_S, PSI_F = 1.1 * PMSM.R_s, 0.97 * PMSM.psi_f
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Six logs of one motor, one of them hot; a steady one; another motor; a standstill."""
+    """Write logs: six of one motor (once hot), one steady, one of another motor, one at rest."""
     path = tmp_path_factory.mktemp("pooled")
 
     def write(name, samples):
@@ -108,6 +108,6 @@ def test_the_command(folder, tmp_path):
     done = fluxobs(
         *("identify", *two, "--out", "two.toml", "--json", "--scheduler", "pool"), folder=tmp_path
     )
-    assert done.returncode == 1  # one of them identifies nothing
+    assert done.returncode == 1  # the second log identifies nothing
     facts = json.loads(done.stdout)
     assert [log["log"] for log in facts["logs"]] == ["day1.parquet", "still.parquet"]

@@ -16,7 +16,7 @@ def cage_log(psi, **given):
 
 @pytest.mark.parametrize("wrong", [{}, {"R_R": 1.5, "L_M": 1.2}, {"R_R": 0.7}])
 def test_flux_changes_identify_the_rotor(wrong):
-    """R_R and L_M come out right from a biased log without position, even with a wrong file."""
+    """A biased log without position gives the right R_R and L_M, even with a wrong machine file."""
     guess = MACHINE
     for name, factor in wrong.items():
         guess = guess.scaled([name], factor)
@@ -28,7 +28,7 @@ def test_flux_changes_identify_the_rotor(wrong):
         assert by_name[name].value == pytest.approx(true, rel=share)
         assert abs(by_name[name].value - true) < 3 * by_name[name].std
     assert abs(identified.machine.R_R - MACHINE.R_R) < 0.02 * MACHINE.R_R
-    assert identified.machine.R_R_std > 0.1 * MACHINE.R_R  # allows for heating until the next log
+    assert identified.machine.R_R_std > 0.1 * MACHINE.R_R  # includes heating until the next log
 
 
 def test_a_constant_flux_does_not_identify_the_rotor():
@@ -87,4 +87,4 @@ def test_a_log_too_short_for_the_slip_is_refused():
 def test_a_speed_scores_an_estimate():
     log, layout = speed_log(CONSTANT)
     result = fluxobs.estimate(log, MACHINE, **layout)
-    assert "estimated over given speed" in " ".join(result.truth_fit.words)
+    assert "ratio of estimated to given speed" in " ".join(result.truth_fit.words)

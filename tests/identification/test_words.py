@@ -1,4 +1,4 @@
-"""Text of identifications; logs that disagree, with limits from both sides; R_R from the slip."""
+"""Text of identifications, limits for disagreeing logs (from both sides), R_R from the slip."""
 
 from types import SimpleNamespace
 
@@ -19,7 +19,7 @@ def apart(value, others, std=0.03):
 
 @pytest.mark.parametrize(("sigmas", "disagrees"), [(3.9, False), (4.1, True), (-4.1, True)])
 def test_four_standard_deviations_disagree(sigmas, disagrees):
-    """The limit combines the log's deviation, that of the median of four others, and scatter."""
+    """The limit combines deviations of the log and of four other logs' median, and scatter."""
     others = [(1.0, 0.02), (1.01, 0.02), (0.99, 0.08), (1.0, 0.01)]
     std = np.sqrt(0.03**2 + (1.4826 * 0.005) ** 2 + (0.02 / 2) ** 2)
     differences = apart(1 + sigmas * std, others)
@@ -171,7 +171,7 @@ def test_a_report_in_lines():
 
 
 def test_the_residual_of_a_machine_without_magnets():
-    """It refers to the mean initial flux of the segments, here of 0.5 and 1.5 Wb."""
+    """The residual refers to the mean initial flux of the segments, here 0.5 and 1.5 Wb."""
     lines = report.lines(fitted(psi_f=0.0, free=()))
     residual = "Residual: 1.00% of the flux with the given values, "
     assert lines[-1] == residual + "0.50% with the identified ones"

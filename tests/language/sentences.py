@@ -3,7 +3,7 @@
     python tests/language/sentences.py --count 100 --seed 1
 
 Each sentence is printed with its kind (docs, docstring, comment, message) and place. A reader who
-did not write it marks those that need a second reading; at most three of 100 may.
+is not the author counts the sentences that need a second reading: at most three of 100.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
-#: Folders whose texts are not written for readers of this project.
+#: Folders with texts that are not for readers of this project.
 EXCLUDED = ("tests/expected", "tests/logs/corpus", "tests/vectors", "web/node_modules")
 #: Shorter texts are labels.
 FEWEST_WORDS = 5
@@ -99,7 +99,14 @@ def read_c(text: str) -> Iterator[tuple[int, str, str]]:
         yield text[: match.start()].count("\n") + 1, "comment", prose
 
 
-READERS = {".md": read_markdown, ".py": read_python, ".c": read_c, ".h": read_c, ".hpp": read_c, ".cpp": read_c}
+READERS = {
+    ".md": read_markdown,
+    ".py": read_python,
+    ".c": read_c,
+    ".h": read_c,
+    ".hpp": read_c,
+    ".cpp": read_c,
+}
 
 
 def read_project() -> list[Sentence]:

@@ -22,7 +22,8 @@ FIRMWARE = ROOT / "firmware"
 BUILD = ROOT / "build" / "mutants"
 #: Folder of the installed package, with the compiled modules and the sources that it exports.
 PACKAGE = Path(sysconfig.get_path("purelib")) / "fluxobs"
-#: Standard headers, which libclang lacks; without <stdbool.h> clang drops the code that uses it.
+#: Folder of standard headers, which libclang lacks. Without <stdbool.h>, clang drops the code that
+#: uses it.
 HEADERS = Path(ziglang.__file__).parent / "lib" / "include"
 #: Binary operator → operators that replace it.
 SWAPS = {
@@ -35,7 +36,7 @@ SWAPS = {
 
 @dataclass(frozen=True)
 class CMutant:
-    """A range of bytes in a source file, and their replacement."""
+    """A range of bytes in a source file, and the replacement."""
 
     path: Path
     line: int
@@ -47,7 +48,7 @@ class CMutant:
 
     @contextmanager
     def applied(self) -> Iterator[None]:
-        """Compile the error into the installed package while the context is open.
+        """Compile the error into the installed package for as long as the context is open.
 
         Raises
         ------
@@ -69,7 +70,7 @@ class CMutant:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Delay interrupts until the context is left."""
+    """Delay interrupts until the context ends."""
     arrived: list[int] = []
     before = {
         number: signal.signal(number, lambda number, _: arrived.append(number))
@@ -95,12 +96,12 @@ def install() -> None:
         configure += [f"-DPython_EXECUTABLE={sys.executable}"]
         configure += [f"-Dnanobind_DIR={nanobind.stdout.strip()}"]
         subprocess.run(configure, check=True, capture_output=True)
-    # In a separate session: an interrupt from the terminal would end the build.
+    # The build runs in a separate session, which an interrupt from the terminal cannot end.
     build = ["cmake", "--build", BUILD]
     subprocess.run(build, check=True, capture_output=True, start_new_session=True)
     for module in BUILD.glob("_core*.*"):
         if module.suffix in (".so", ".pyd"):
-            # A new file: a running process may have mapped the old one.
+            # Write a new file: a running process may have mapped the old file.
             shutil.copy(module, PACKAGE / f".{module.name}")
             os.replace(PACKAGE / f".{module.name}", PACKAGE / module.name)
     for source in FIRMWARE.glob("*.[ch]"):
@@ -108,12 +109,12 @@ def install() -> None:
 
 
 def c_mutants(pattern: str = "*.[ch]") -> list[CMutant]:
-    """Return all errors in the firmware's sources, functions and constants alike.
+    """Return all errors in the functions and constants of the firmware's sources.
 
     Raises
     ------
     ValueError
-        Clang cannot parse a source, and would omit what it does not understand.
+        Clang cannot parse a source and would omit the code that it does not understand.
     """
     mutants = []
     index = Index.create()
@@ -165,7 +166,7 @@ def _of_cursor(cursor: Cursor) -> Iterator[CMutant]:
 
 
 def _of_number(token: Token) -> Iterator[CMutant]:
-    """Yield the number plus one and minus one, as for Python."""
+    """Yield the number plus one and minus one, as the mutations of Python do."""
     number = re.fullmatch(
         r"(?P<integer>0[xX][\da-fA-F]+|\d+)[uUlL]*"
         r"|(?P<real>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)[fFlL]?",

@@ -15,7 +15,7 @@ from cosmic_ray.work_item import MutationSpec
 
 ROOT = Path(__file__).parents[2]
 SOURCES = ROOT / "src" / "fluxobs"
-#: On floats these raise TypeError, which any test catches; "|" mostly separates types.
+#: These operators raise TypeError on floats, which any test catches; "|" mostly separates types.
 BITWISE = {"BitOr", "BitAnd", "BitXor", "LShift", "RShift"}
 
 
@@ -26,7 +26,7 @@ class PythonMutant:
     path: Path
     line: int
     name: str
-    #: The expression; all its mutations share it.
+    #: The expression, the same in all its mutations.
     site: tuple[object, ...]
     mutation: MutationSpec
 
@@ -37,7 +37,7 @@ class PythonMutant:
 
 
 def python_mutants(room: str) -> list[PythonMutant]:
-    """Return all errors in a folder, or a file, below src/fluxobs."""
+    """Return all errors in a folder or file below src/fluxobs."""
     where = SOURCES / room
     files = sorted(where.rglob("*.py")) if where.is_dir() else [where]
     with (

@@ -3,11 +3,11 @@
     pip install cosmic-ray libclang ninja cmake nanobind
     python tests/mutation/sample.py --count 150 --seed 1
 
-Work in a clean clone: every mutant is written into its source file and then reverted. First an
-expression is drawn, then one of its mutants; expressions with many mutants therefore do not
-dominate. Only the tests of the mutant's room run, and stop at the first failure. `--part 1/2` and
-`--part 2/2`, in two clones, share the work. Mutants that change nothing computable are listed in
-equivalent.txt, with the reason, and skipped.
+Run this in a clean clone: every mutant is written into its source file and then reverted. The
+program first draws an expression, then one of its mutants, so expressions with many mutants do not
+dominate. Only the tests of the mutant's room run; they stop at the first failure. `--part 1/2` and
+`--part 2/2`, in two clones, share the work. Mutants that change no result are skipped;
+equivalent.txt lists them with the reason.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from python_mutants import PythonMutant, python_mutants
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[2]
-#: Room, or file, under src/fluxobs → its tests, the quickest first.
+#: Room or file under src/fluxobs → its tests, the quickest tests first.
 TESTS = {
     "estimation": "tests/estimation",
     "observers": "tests/observers tests/contract/test_observers.py",
@@ -52,7 +52,7 @@ TESTS = {
 #: The C sources are not under src/fluxobs.
 FIRMWARE = "firmware"
 PRODUCT = tuple(TESTS)[: tuple(TESTS).index(FIRMWARE) + 1]
-#: Longest time for the tests of a mutant [s]; a mutant that hangs counts as caught.
+#: Longest time for the tests of a mutant [s]. A mutant that needs longer counts as caught.
 LIMIT = 900.0
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 
@@ -60,7 +60,7 @@ EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 def draw_mutants(
     rooms: list[str], count: int, seed: int
 ) -> list[tuple[str, PythonMutant | CMutant]]:
-    """Draw expressions at random, and one mutant of each."""
+    """Draw expressions at random, and one mutant of each expression."""
     sites: dict[object, list[tuple[str, PythonMutant | CMutant]]] = {}
     for room in rooms:
         for mutant in c_mutants() if room == FIRMWARE else python_mutants(room):
@@ -73,14 +73,14 @@ def draw_mutants(
 
 
 def describe(mutant: PythonMutant | CMutant) -> str:
-    """Return file, changed line without indentation, and change; line numbers would not last."""
+    """Return (file, line without indentation, change); line numbers would soon be wrong."""
     path = mutant.path.resolve()
     line = path.read_text("utf-8").splitlines()[mutant.line - 1].strip()
     return f"{path.relative_to(ROOT).as_posix()} | {line} | {mutant.name}"
 
 
 def equivalent() -> set[str]:
-    """Return the mutants that change nothing computable, one per line of the file."""
+    """Return the mutants that change no result, one from each line of the file."""
     lines = EQUIVALENT.read_text("utf-8").splitlines() if EQUIVALENT.exists() else []
     return {line for line in lines if line and not line.startswith((" ", "#"))}
 
@@ -105,7 +105,7 @@ def passes(room: str) -> bool:
     try:
         return tests.wait(LIMIT) == 0
     finally:
-        with suppress(ProcessLookupError):  # a hanging program outlives its test
+        with suppress(ProcessLookupError):  # a program that hangs continues after its test
             os.killpg(tests.pid, signal.SIGKILL)
         tests.wait()
 
@@ -122,7 +122,7 @@ def verdict(room: str, mutant: PythonMutant | CMutant) -> str:
 
 
 def require_passing_tests(rooms: list[str]) -> None:
-    """Exit if the tests fail without a mutant: they would seem to catch every error."""
+    """Exit if the tests fail without a mutant: such tests would seem to catch every error."""
     if FIRMWARE in rooms:
         install()
     for room in rooms:
@@ -139,7 +139,7 @@ def main() -> None:
     options = parser.parse_args()
     if subprocess.run(["git", "diff", "--quiet", "HEAD"], cwd=ROOT, check=False).returncode:
         sys.exit("the clone has changes: commit or stash them first")
-    # Like a keyboard interrupt: the source is restored.
+    # As after a keyboard interrupt, the source is restored.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     part, step = map(int, options.part.split("/"))
     sample = draw_mutants(options.rooms, options.count, options.seed)[part - 1 :: step]

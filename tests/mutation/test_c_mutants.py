@@ -1,4 +1,4 @@
-"""The one-line errors in C are where they claim to be, and are reverted."""
+"""One-line errors in C are at the stated places, and are reverted."""
 
 import contextlib
 import os

@@ -62,7 +62,7 @@ def test_exact_without_noise_from_volt_seconds(name, bias, per_period):
     salient=st.booleans(),
 )
 def test_random_machines(R_s, L, psi, per_period, load, theta0, backwards, salient):
-    """Inductance and resistance are per-unit; either direction, any initial angle."""
+    """Inductance and resistance are per-unit; direction and initial angle are arbitrary."""
     h, rated = 1e-4, 10.0
     speed = 2 * np.pi / (per_period * h) * (-1 if backwards else 1)
     L_s = L * psi / rated
@@ -86,14 +86,15 @@ def test_random_machines(R_s, L, psi, per_period, load, theta0, backwards, salie
 
 
 def test_quadrature_of_the_current():
-    """Mean currents come from samples: 12 per period, half of the voltage in the resistance."""
+    """Mean currents come from 12 samples per period; half of the voltage is the resistive drop."""
     h = 2e-4
     speed = 2 * np.pi / (12 * h)
     machine = SurfacePMSM(R_s=1.3, L_s=2e-4, n_p=4, psi_f=0.01, rated_current=10)
     samples = steady(machine, h, speed, 2000, 2 + 10j)
     estimate = observer_for(machine, h, held=False).run(samples.voltage, samples.current)
     error = np.abs(wrapped_degrees(estimate.theta_e - samples.theta))[-500:]
-    # The error of ∫i is 2.3 % with the trapezoid, 0.2 % with the cubic; R i/(ω ψ) of it remains.
+    # The error of ∫i is 2.3 % with the trapezoid, 0.2 % with the cubic. The angle's error is R i/(ω
+    # ψ) times this error.
     drop = machine.R_s * abs(2 + 10j) / (speed * machine.psi_f)
     assert drop > 0.4
     assert error.max() < 0.05
@@ -138,7 +139,7 @@ def test_a_wrong_magnet_flux_does_no_harm(factor):
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_never_valid_at_standstill_but_after_one_period_of_motion(name):
-    """One electrical period of motion follows ten noisy minutes with offsets at rest."""
+    """After ten noisy minutes with offsets at rest, the machine turns by one electrical period."""
     machine, h, rest_rows = MACHINES[name], 2e-4, 3_000_000
     noise, speed = 0.005 * machine.rated_current, 250.0
     rows = np.r_[np.zeros(rest_rows), np.full(3000, speed)]
@@ -157,7 +158,7 @@ def test_never_valid_at_standstill_but_after_one_period_of_motion(name):
 
 
 def test_carried_through_a_short_standstill():
-    """After a stop and a start within milliseconds, flux and drift remain, validity does not."""
+    """After a stop and a start within milliseconds, flux and drift remain, but valid is false."""
     h = 1e-4
     speed = np.r_[np.full(3000, 500.0), np.zeros(2000), np.full(2000, 500.0)]
     samples = steady(SERVO, h, speed, len(speed), 6j, 0.1, 0.1, 0.03)
@@ -193,7 +194,7 @@ def test_a_stop_with_a_voltage_error_is_not_valid_and_wrong(volts):
 @pytest.mark.parametrize("name", MACHINES)
 @pytest.mark.parametrize("factor", [2, 5])
 def test_more_noise_than_assumed_is_noticed(name, factor):
-    """The noise is several times the assumed one, at standstill and then in motion."""
+    """The noise is several times the assumed noise, at standstill and then in motion."""
     machine, h, rest_rows = MACHINES[name], 2e-4, 50_000
     noise = 0.002 * machine.rated_current
     speed = np.r_[np.zeros(rest_rows), np.full(3000, 250.0)]
@@ -260,7 +261,7 @@ def test_unusable_settings_are_named(options, message):
 @pytest.mark.parametrize("error", [0.05, 0.1, 0.15, 0.25])
 @pytest.mark.parametrize("frequency", [2.2, 2.6, 3.0, 4.0])
 def test_a_locked_rotor_under_a_turning_current_is_not_called_valid(error, frequency):
-    """With a wrong R, the current alone imitates half a turn; the rotor does not move."""
+    """With a wrong R, the current alone imitates half a turn of the locked rotor."""
     machine = MACHINES["servo-400w"]
     h, rows, theta = 1e-4, 60_000, 0.7
     turn = np.exp(2j * np.pi * frequency * h * np.arange(rows))

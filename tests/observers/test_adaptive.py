@@ -20,7 +20,7 @@ BOTH = ("drift", "resistance", "inverter")
 
 
 def start(noise, seed):
-    """Return a start from rest at an unknown angle, with an offset of 5 %, over 1.5 turns."""
+    """Return a start from rest at an unknown angle: 1.5 turns, with an offset of 5 %."""
     rng = np.random.default_rng(seed)
     speed = profile((0, 0), (0.02, 0), (0.08, 250), (0.13, 250))
     return driven(
@@ -66,7 +66,7 @@ def test_a_start_returns_both_candidate_angles():
     turned = np.degrees(samples.theta - samples.theta[0])
     early = (turned > 3) & ~estimate.adapting
     assert early.any()
-    # One of the two candidates is right, and neither is valid.
+    # One of the two candidates is right, but no candidate is valid.
     error_of_other = np.abs(wrapped_degrees(estimate.theta_e_other - samples.theta))
     nearer = np.minimum(np.abs(errors(estimate, samples)), error_of_other)
     assert np.median(nearer[early]) < 15
@@ -133,9 +133,9 @@ def test_never_certain_and_wrong(assumed):
 
 
 def test_an_emf_within_the_uncertainty_is_not_valid():
-    """At 1 V of EMF and 8 A, a resistance 0.25 Ω larger explains the opposite angle as well.
+    """At 1 V of EMF and 8 A, the opposite angle fits equally well with 0.25 Ω more resistance.
 
-    As the speed rises, only the true angle remains.
+    At higher speed, only the true angle fits.
     """
     machine = MACHINES["servo-400w"]
     speed = profile((0, 80), (1.0, 80), (1.3, 800), (2.0, 800))
@@ -170,7 +170,7 @@ def test_offsets_and_asymmetry_are_learnt():
     true = course(inverter=8.0, smoothing=0.05 * RATED)
     g, offset = 0.008 - 0.004j, np.array([0.12, -0.08])
     u = true.voltage[:, 0] + 1j * true.voltage[:, 1]
-    # The voltage u + g conj(u) acts where u is measured.
+    # If the measured voltage is u, the voltage u + g conj(u) acts.
     measured = (u - g * np.conj(u)) / (1 - abs(g) ** 2)
     observer = AdaptiveObserver.for_machine(
         MACHINE,
@@ -364,8 +364,8 @@ def test_standard_deviations_are_consistent():
                 ]
             )
     assert len(scores) > 60
-    assert np.median(scores, axis=0).max() < 2  # 0.45 for a normal distribution
-    # Below 1 is expected: the filter assumes less exact machines than these.
+    assert np.median(scores, axis=0).max() < 2  # normal distribution: 0.45
+    # A mean below 1 is expected: the filter assumes machines that are less exact.
     assert 0.1 < np.mean(np.minimum(scores, 25)) < 1.5
     assert (np.array(scores) < 9).mean(axis=0).min() > 0.95
 
@@ -461,7 +461,7 @@ def test_a_steady_load_does_not_make_valid_flicker(name, speed, current, h):
     """R is not identifiable at steady load, but its error is correlated with that of the flux.
 
     So the standard deviation of the position does not vary between measurement rows. After a step
-    of the load it grows.
+    of the load, this standard deviation grows.
     """
     machine, rows = MACHINES[name], int(1.2 / h)
     load = np.where(np.arange(rows + 1) < 0.8 * rows, current, 1.5 * current)

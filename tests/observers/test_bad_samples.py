@@ -93,7 +93,7 @@ def test_a_spike_in_the_current_is_ignored():
 
 @pytest.mark.parametrize("size", [8.0, 20.0, 41.7, 100.0, -41.7])
 def test_spikes_of_any_size_and_direction_do_not_mislead(size):
-    """A spike that reverses λ - L i does not change its length."""
+    """A spike can reverse the vector λ - L i without a change of length."""
     rows = np.arange(500, ROWS, 97)
     estimate, _ = run(current=[((row, k % 2), size) for k, row in enumerate(rows)])
     assert error(estimate)[estimate.valid].max() < 15
@@ -102,7 +102,7 @@ def test_spikes_of_any_size_and_direction_do_not_mislead(size):
 
 
 def test_a_spike_in_the_voltage_restarts_once_the_currents_contradict():
-    estimate, counts = run(voltage=[((BAD, 0), 300.0)])  # a jump by 2.4 times the magnet flux
+    estimate, counts = run(voltage=[((BAD, 0), 300.0)])  # the flux jumps by 2.4 times psi_f
     assert counts.outliers == 4
     assert counts.restarts == 1
     assert error(estimate)[estimate.valid].max() < 15

@@ -16,12 +16,12 @@ MACHINE = example("induction-2kw2")
 BIAS = 0.2 - 0.1j
 VOLTAGE_BIAS = 2 + 1j
 CONSTANT = profile((0, 0.9), (2.4, 0.9))
-#: 0.9 to 0.5 Wb and back, each in 0.1 s.
+#: The flux falls from 0.9 to 0.5 Wb in 0.1 s and rises again in 0.1 s.
 RAMPS = profile((0, 0.9), (1.0, 0.9), (1.1, 0.5), (1.5, 0.5), (1.6, 0.9), (2.4, 0.9))
 
 
 def record(psi, machine=MACHINE, bias=BIAS, seed=0):
-    """Return run-up, load steps and loaded reversal; offsets 0.22 A, 2.2 V; noise 0.02 A."""
+    """Return run-up, load steps, loaded reversal; offsets are 0.22 A, 2.2 V, noise is 0.02 A."""
     speed = profile((0, 60), (0.4, 310), (1.8, 310), (2.2, -200), (2.4, -200))
     i_q = profile((0, 2), (0.6, 2), (0.602, 5), (1.3, 5), (1.31, 1), (1.9, 4), (2.4, 4))
     fine = [between_rows(x, 16) for x in (speed, psi, i_q)]
@@ -48,7 +48,7 @@ def rms(x):
 
 
 def test_position_and_speed_at_constant_flux():
-    """Required: 0.05 degrees rms; mechanical speed within 0.3 % of rated."""
+    """Required: 0.05 degrees rms, and a mechanical speed within 0.3 % of the rated speed."""
     estimate, error, speed = run(MACHINE, record(CONSTANT))
     assert rms(error[1600:]) < 0.05
     assert np.abs(error[estimate.valid]).max() < 1.0
@@ -77,7 +77,7 @@ def test_wrong_rotor_parameters_hardly_affect_the_position(R_R, L_M):
     estimate, error, speed = run(machine, record(RAMPS))
     assert rms(error[1600:]) < 0.25
     assert np.abs(error[estimate.valid]).max() < 1.5
-    if R_R != 1.0:  # the speed has the slip's error, within its standard deviation
+    if R_R != 1.0:  # the error of the slip is within the speed's standard deviation
         columns = derived(machine, estimate, record(RAMPS)[1])
         outside = np.abs(speed[1600:]) > 4 * columns["speed_mech_std"][1600:] + 0.01 * 151
         assert outside.mean() < 0.01
@@ -100,7 +100,7 @@ def test_the_adaptive_observer_is_never_certain_and_wrong(factor, psi):
 
 
 def test_not_valid_while_the_rotor_flux_stands_still():
-    """At zero stator frequency, a loaded machine turns, and its flux is not observable."""
+    """At zero stator frequency, a loaded machine turns, but its flux is not observable."""
     speed = profile((0, 200), (0.8, 200), (1.0, 0), (2.0, 0))
     i_q = np.full(len(speed), -4.0)
     psi = np.full(len(speed), 0.9)

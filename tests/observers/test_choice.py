@@ -23,11 +23,11 @@ def test_everything_is_chosen():
             "memory": 0.03,
             "tracker_bandwidth": 2000 / 3,
             "current_noise": 0.02,
-            "drift_prior": 1 / 3,  # turns 0.1 Wb by 0.1 rad in 30 ms
+            "drift_prior": 1 / 3,  # turns a flux of 0.1 Wb by 0.1 rad in 30 ms
             "flux_base": 0.1,
             "constraint_base": 0.01,
             "constraint_noise": np.hypot(6e-5, 3e-5),
-            "current_limit": 250.0,  # its L i is five times the flux
+            "current_limit": 250.0,  # L i is then five times the flux
             "length_min": 0.025,
         },
         rel=1e-14,
@@ -52,7 +52,7 @@ def test_given_values_are_used():
 @pytest.mark.parametrize(
     ("sizes", "sample_time", "speed", "memory"),
     [
-        (SHORT, 1e-4, 0.0, 0.03),  # its speed is not known
+        (SHORT, 1e-4, 0.0, 0.03),  # the speed is unknown
         (SHORT, 1e-4, 4000.0, 8.75e-3),  # 3.5 (L/R)^2 / h
         (SHORT, 1e-4, 2000.0, 4 * np.pi / 1000),  # a turn at a quarter of the speed
         (SHORT, 1e-4, 100.0, 0.03),

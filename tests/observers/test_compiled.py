@@ -109,7 +109,7 @@ def test_run_releases_the_gil():
     while not done.wait(0.002):
         ticks.append(1)
     thread.join()
-    assert len(ticks) > 3  # this thread ran while the other was inside run
+    assert len(ticks) > 3  # this thread ran while the other thread was inside run
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Outputs of the compiled observers on a drive that starts, reverses, stops and loses samples.
+"""Outputs of the compiled observers for a drive that starts, reverses, stops and loses samples.
 
 Mean and rms of each output, in each twelfth of the record, reveal any change.
 """

@@ -1,4 +1,4 @@
-"""A winding that warms up: the estimated resistance follows, within its standard deviation."""
+"""The estimated resistance follows a winding that warms up, within its standard deviation."""
 
 from itertools import islice
 
@@ -21,7 +21,7 @@ def test_heat_is_followed(monkeypatch, warmer, warming):
     result = fluxobs.estimate(log, "servo-400w", unknowns=unknowns, causal=True)
     cycle = log["t"] // endless.CYCLE * endless.CYCLE
     true = 0.36 * (1 + warmer * (1 - np.exp(-cycle / warming)))
-    loaded = log["t"] % endless.CYCLE > 1.5  # the new resistance has carried load
+    loaded = log["t"] % endless.CYCLE > 1.5  # the cycle has had load
     normalised_error = np.abs(result["resistance"] - true) / result["resistance_std"]
     assert normalised_error[loaded].max() < 2.5
     valid = result["valid"]

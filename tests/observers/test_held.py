@@ -1,4 +1,4 @@
-"""Voltages held over a sample, and the memory where L/R is short."""
+"""Voltages held over a sample, and the memory for a short L/R."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_missing_voltage_affects_no_other(axis):
 @pytest.mark.parametrize("kind", [LeastSquaresObserver, AdaptiveObserver])
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_held_voltages(kind, precision):
-    """Required: 0.1 degrees, where the error of the cubic alone is 0.6."""
+    """Required: 0.1 degrees; with the cubic alone, the error is 0.6 degrees."""
     samples = record()
     error, estimate = errors(kind.for_machine(DRONE, sample_time=H, precision=precision), samples)
     assert np.abs(error[1500:]).max() < 0.05
@@ -86,7 +86,7 @@ def test_missing_voltages_are_bridged():
 
 
 def test_noise_in_the_resistive_drop_stays_below_the_direct_noise():
-    """Required: at most 1.5 times the floor L σ/ψ; it is 2.5 with a memory of 0.03 s."""
+    """Required: at most 1.5 times the floor L σ/ψ; a memory of 0.03 s gives 2.5 times."""
     noise = 0.06
     floor = np.degrees(DRONE.L_s * noise / DRONE.psi_f)
     ratios = {memory: [] for memory in (None, 0.03)}
@@ -119,7 +119,7 @@ def test_whether_voltages_are_held_is_decided_per_log():
     assert results[None].observer.held == results[True].observer.held == pytest.approx(0.25)
     assert results[False].observer.held == 0
     half_sample_lag = fluxobs.estimate(log, DRONE, sample_time=H, lag=0.5, unknowns="drift")
-    assert half_sample_lag.observer.held == 0  # kinks inside an interval
+    assert half_sample_lag.observer.held == 0  # the voltage has kinks inside an interval
     assert results[None].observer.memory == pytest.approx(0.0056)  # from the speed of the log
 
 

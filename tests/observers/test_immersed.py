@@ -1,4 +1,4 @@
-"""The immersed observer: equal to the C core, and its further unknowns and relations."""
+"""The immersed observer equals the C core; its additional unknowns and relations."""
 
 from dataclasses import replace
 from functools import cache
@@ -100,7 +100,7 @@ def levitation():
 
 
 def test_levitation_converges_and_reconverges():
-    """The error is below 2 % within 0.3 s and 1e-6 within 2 s of start and jump."""
+    """After the start and after a jump, the error is below 2 % within 0.3 s and 1e-6 within 2 s."""
     drive, estimate = levitation()
     rows, _ = thinned(drive, LS_SAMPLE_TIME)
     t = drive.t[rows]
@@ -127,7 +127,7 @@ def test_a_jump_restarts_and_interrupts_validity():
 
 
 def test_current_bias_alone():
-    """With θ = R δ, all is identifiable for a PMSM, also at constant speed."""
+    """With θ = R δ, everything is identifiable for a PMSM, even at constant speed."""
     machine = MACHINES["servo-400w"]
     samples = steady(machine, 1e-4, 500.0, 3000, 4j, current_bias=0.2 - 0.1j)
     observer = ImmersionObserver(
@@ -151,7 +151,7 @@ def test_current_bias_alone():
     "make", [pytest.param(wound_field, marks=pytest.mark.slow), doubly_fed, four_pole_bearing]
 )
 def test_several_relations(make):
-    """The relations are discovered from the energies; any number of ports."""
+    """The relations are derived from the energies, for any number of ports."""
     system = make()
     relations = discover_constraint(system).relations
     n, h, rows = system.n_E, 1e-3, 1500
@@ -221,7 +221,7 @@ def test_the_electrostatic_dual_with_the_same_observer():
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_information_equals_the_dense_sum(seed):
-    """R agrees with all rows ever measured, propagated and weighted; two relations, with bias."""
+    """R equals the sum of all measured rows, propagated and weighted; two relations, with bias."""
     rng = np.random.default_rng(seed)
     n = 2
     relations = tuple(
@@ -267,7 +267,7 @@ def test_missing_samples_are_bridged():
 
 @cache
 def first_half_of_motor():
-    """Return the first 3000 rows of the servo at 500 rad/s with 0.2 % noise, estimated."""
+    """Return estimates for the first 3000 rows of the servo at 500 rad/s with 0.2 % noise."""
     machine = MACHINES["servo-400w"]
     samples = steady(machine, 1e-4, 500.0, 6000, 6j, noise=0.024)
     observer = ImmersionObserver(
@@ -348,7 +348,7 @@ def test_outputs_are_finite_after_long_gaps():
 
 
 def test_a_current_bias_caused_by_noise_is_not_valid():
-    """In S5 with 1 mA and 10 mV of noise, it is not identifiable and corrupts the flux."""
+    """In S5 with noise of 1 mA and 10 mV, the bias is not identifiable and corrupts the flux."""
     drive = record(SCENARIOS["S5"], quick=True)
     machine, rng = drive.machine, np.random.default_rng(0)
     rows = slice(0, 8001, 4)
@@ -374,7 +374,7 @@ def test_a_current_bias_caused_by_noise_is_not_valid():
 
 
 def test_a_small_port_is_judged_by_its_own_flux_base():
-    """Of two opposed pairs, the second, at rest with 1 % of the flux, is never valid and wrong."""
+    """The second of two opposed pairs, at rest with 1 % of the flux, is never valid and wrong."""
     k, g, h, rows = 1e-5, 1e-3, 1e-3, 2000
     t = np.arange(rows)[:, None] * h
     size = np.array([1.0, 1.0, 0.01, 0.01])
@@ -398,7 +398,7 @@ def test_a_small_port_is_judged_by_its_own_flux_base():
 
 
 def test_information_from_noise_is_detected():
-    """S3 hardly excites one direction: half of it is wrong, and almost no row is valid."""
+    """S3 hardly excites one direction: half of its flux is wrong, and almost no row is valid."""
     weak = noisy(record(SCENARIOS["S3"], quick=True), 4.0, 0.15)
     assert weak.error > 0.2
     assert weak.claimed < 0.1  # by the covariance alone
@@ -419,7 +419,7 @@ def test_noise_above_the_assumed_one_does_not_restart_for_ever():
         1e-4,
         0.03,
         machine.psi_f,
-        1e-6 * machine.psi_f**2,  # three hundred times too small
+        1e-6 * machine.psi_f**2,  # 300 times too small
         0.1,
     )
     state, estimate = observer.resume(
@@ -469,9 +469,9 @@ def test_unusable_settings_are_refused(change, message):
 
 @pytest.mark.parametrize("assumed", [1.0, 100.0])
 def test_an_unidentifiable_drift_is_as_uncertain_as_its_prior(assumed):
-    """At rest the drift is not identifiable, and its standard deviation stays the prior's.
+    """At rest the drift is not identifiable; its standard deviation stays at the prior's value.
 
-    Innovations far below the assumed noise must not reduce it.
+    Innovations far below the assumed noise must not reduce the standard deviation.
     """
     machine = MACHINES["servo-400w"]
     h, rows, prior = 2e-4, 600, 0.5

@@ -1,4 +1,4 @@
-"""Each record of a batch has the numbers that it has alone, bit for bit."""
+"""Each record gives the same bits in a batch as alone."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ BAD = 0.002
 def batch(machine, lanes, bad, seed):
     """Return records that start at any angle, run up, stop and reverse.
 
-    If `bad`, samples are missing, implausible or contradictory.
+    With `bad`, some samples are missing, implausible or contradictory.
     """
     rng = np.random.default_rng(seed)
     rows = np.arange(ROWS * 4 + 1) / 4

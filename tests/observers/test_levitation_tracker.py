@@ -1,4 +1,4 @@
-"""The tracker of a levitated body against closed forms: motion, corrections, missing rows."""
+"""The tracker of a levitated body equals closed forms: motion, corrections, missing rows."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def tracker():
 
 
 def rows(flux, position):
-    """Return fluxes and the corresponding currents at these positions."""
+    """Return fluxes and currents at these positions."""
     position = np.asarray(position, float)
     flux = np.broadcast_to(flux, (len(position), 2)).copy()
     gaps = np.stack(

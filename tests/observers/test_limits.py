@@ -1,11 +1,11 @@
-"""Limits of a configuration, each from both sides, and the numbers that a step uses."""
+"""Limits of a configuration, each tested from both sides, and the numbers that a step uses."""
 
 import numpy as np
 import pytest
 
 from fluxobs import _core
 
-#: All numbers that can be 1 are 1, so that a prepared number equals its field.
+#: All numbers that can be 1 are 1, so that a number in C equals the configuration's field.
 UNIT = {
     **{name: np.zeros((2, 2)) for name in ("Q1", "Q2", "Q3", "R", "B")},
     "E": np.zeros(2),
@@ -34,7 +34,7 @@ def number(name):
 
 
 def scaled_memory(value):
-    """Return a memory with sample time and drift prior scaled along."""
+    """Return a memory, with sample time and drift prior in proportion."""
     return {"memory": value, "sample_time": value / 1e3, "drift_prior": 1 / value}
 
 
@@ -104,7 +104,7 @@ def test_zero_is_not_positive(name):
 
 
 def test_the_numbers_of_a_step():
-    """Per-unit numbers by hand, from fields that all differ, to reveal mix-ups."""
+    """Per-unit numbers are calculated by hand; all fields differ, to reveal mix-ups."""
     config = UNIT | {
         "flux_base": 2.0, "memory": 0.5, "sample_time": 1e-3, "drift_prior": 12.0,
         "constraint_base": 8.0, "constraint_noise": 0.4, "current_noise": 0.05,

@@ -1,4 +1,4 @@
-"""C, the binding and Python share one list of outputs and one of thresholds."""
+"""C, the binding and Python share one list of outputs and one list of thresholds."""
 
 import re
 from pathlib import Path
@@ -39,7 +39,7 @@ def test_the_core_returns_what_the_estimates_list(core):
 
 
 def test_units_are_in_the_header_too():
-    """The comments of fo_estimate carry the units of the list."""
+    """The comments of fo_estimate state the units of the list."""
     text = (FIRMWARE / "fluxobs.h").read_text()
     block = text[text.index("#define FO_ESTIMATE_FIELDS") : text.index("} fo_estimate")]
     for output in outputs(Estimate):
@@ -80,7 +80,7 @@ def test_thresholds_equal_those_of_the_header():
 
 
 def test_no_python_file_repeats_a_threshold_of_c():
-    """The twin and the immersed observer read the thresholds from the binding."""
+    """The twin and the immersed observer read their thresholds from the binding."""
     root = Path(fluxobs.__file__).parent
     for path in root.rglob("*.py"):
         for name in _core.thresholds:

@@ -22,7 +22,7 @@ INTERIOR = example("ipm-2kw2")
 
 
 def reluctance_record(seed=0, theta0=0.7, machine=RELUCTANCE, noise=0.05):
-    """Return a record with i_q from -8 to 18 A, i_d from 8 to 12 A, a reversal, 1.1 V offset."""
+    """Return a record: i_q -8 to 18 A, i_d 8 to 12 A, a reversal, and an offset of 1.1 V."""
     speed = 2 * np.pi * 20 * profile((0, 1), (0.2, 1), (0.6, 4), (1.2, 4), (1.7, -3), (2, -3))
     i_q = profile(
         *((0, 4), (0.4, 4), (0.43, 18), (0.9, 18), (0.93, 8), (1.3, 8), (1.35, -8), (2, -8))
@@ -50,7 +50,7 @@ def rms(x):
 
 
 def test_a_saturated_reluctance_machine_from_a_cold_start():
-    """Required: 0.1 degrees rms, at most 3 on valid rows."""
+    """Required: 0.1 degrees rms, at most 3 degrees on valid rows."""
     samples = reluctance_record()
     estimate = LeastSquaresObserver.for_machine(RELUCTANCE, sample_time=H).run(
         samples.voltage, samples.current
@@ -110,7 +110,7 @@ def test_a_current_outside_the_map_is_not_valid_and_is_counted():
 
 @pytest.mark.parametrize("share", [0.7, 0.5])
 def test_a_surface_machine_whose_inductance_falls(share):
-    """Required: 0.2 degrees rms; a constant inductance gives 3.7 and 6.6."""
+    """Required: 0.2 degrees rms; a constant inductance gives 3.7 and 6.6 degrees."""
     values = {"R_s": 0.5, "n_p": 4, "L_s": 3e-3, "psi_f": 0.1, "rated_current": 20.0}
     machine = SurfacePMSM(**values, L_s_rated=share * 3e-3)
     speed = profile((0, 300), (1.0, 300), (1.4, -300), (1.8, -300))
@@ -156,7 +156,7 @@ def test_an_interior_machine_whose_i_d_steps(ratio, largest):
 
 
 def test_error_of_a_salient_machine_with_a_current_bias():
-    """A bias acts as a wrong i_d: at most (L_q - L_d) |bias| / psi_f to first order."""
+    """A bias acts as a wrong i_d: the error is about (L_q - L_d) |bias| / psi_f at most."""
     bias = 0.1 * INTERIOR.rated_current
     speed = np.full(6001, 400.0)
     samples = driven(INTERIOR, H, speed, np.full(6001, 4j))
@@ -184,7 +184,7 @@ def test_the_adaptive_observer_learns_the_resistance_of_a_saturated_machine(fact
 
 
 def scaled(machine, along_d, along_q):
-    """Return the machine with its current-dependent flux scaled along d and along q."""
+    """Return the machine with the current-dependent part of its flux scaled along d and along q."""
     points = machine.flux_map
     if points is None:
         return machine.with_values(L_d=along_d * machine.L_d, L_q=along_q * machine.L_q)
@@ -196,7 +196,7 @@ def scaled(machine, along_d, along_q):
 @pytest.mark.parametrize("name", ["ipm-5kw6", "synrm-6kw7"])
 @pytest.mark.parametrize(("along_d", "along_q"), [(1.06, 0.93), (0.94, 1.07)])
 def test_the_adaptive_observer_learns_the_inductances(name, along_d, along_q):
-    """An error of L_q turns the position; load steps of a salient machine identify it."""
+    """An error of L_q turns the position; load steps of a salient machine identify this error."""
     assumed = example(name)
     true = scaled(assumed, along_d, along_q)
     rated, top = assumed.rated_current, 150.0

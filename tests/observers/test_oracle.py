@@ -1,8 +1,8 @@
-"""The C core against one dense weighted least-squares solve over the whole past.
+"""The C core equals one dense weighted least-squares solution over all past rows.
 
-The oracle shares only the model with the recursion: it stacks all measurements, expresses each in
-the present state by products of transitions, weights it by forgetting, adds the prior and its
-re-injections in the same way, and solves once, in extended precision.
+The oracle shares only the model with the recursion. The oracle stacks all measurements, expresses
+each measurement in the present state by products of transitions, weights it by forgetting, adds the
+prior and the prior's re-injections likewise, and solves once, in extended precision.
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ PERIOD, INTERVAL = 14, 2  # prior re-injection: seven rows in turn, one every ot
 
 
 def solve(A, b):
-    """Solve least squares by modified Gram-Schmidt, twice, in extended precision."""
+    """Solve least squares by modified Gram-Schmidt, applied twice, in extended precision."""
     A, b = A.copy(), b.copy()
     scale = np.sqrt((A**2).sum(axis=0))
     A /= scale
@@ -83,7 +83,7 @@ def test_recursion_equals_the_dense_solution(name):
         voltage_bias=0.05,
         noise=0.002 * rated,
     )
-    # With a loose drift prior, the observer never widens it.
+    # The drift prior is so loose that the observer never widens it.
     observer = LeastSquaresObserver.for_machine(
         machine, sample_time=2e-4, memory=0.02, drift_prior=5.0
     )

@@ -1,7 +1,7 @@
-"""Imperfections of a real motor: their effect on position and standard deviation.
+"""Imperfections of a real motor affect position and standard deviation.
 
-The adaptive observer's standard deviation covers all of them, the plain observer's only those that
-leave a residual.
+The adaptive observer's standard deviation covers all imperfections. The plain observer's standard
+deviation covers only imperfections that leave a residual.
 """
 
 from __future__ import annotations

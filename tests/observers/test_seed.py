@@ -1,4 +1,4 @@
-"""Seeds: a known angle speeds up the start and is propagated; a wrong one is never valid."""
+"""Seeds: a known angle speeds up the start and is propagated; a wrong angle is never valid."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_a_known_angle_is_propagated_and_makes_rows_valid_earlier(name, kind):
 @pytest.mark.parametrize("kind", [LeastSquaresObserver, AdaptiveObserver])
 @pytest.mark.parametrize("name", ["servo-400w", "ipm-2kw2", "synrm-6kw7"])
 def test_a_wrong_angle_is_never_valid(name, kind):
-    """The error is 90 degrees, the stated standard deviation six."""
+    """The error is 90 degrees, the stated standard deviation six degrees."""
     machine, theta, u, i, active = record(name)
     observer = kind.for_machine(machine, sample_time=H)
     state = observer.seed(START + np.pi / 2, i[0], theta_e_std=0.1, psi_f=active)

@@ -9,5 +9,5 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="session")
 def built(tmp_path_factory):
-    """Return the distributions that a release of this tree would have."""
+    """Return the distributions of a release of this tree."""
     return build(ROOT, tmp_path_factory.mktemp("release") / "dist")

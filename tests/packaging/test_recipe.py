@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 RECIPE = yaml.safe_load((ROOT / "packaging/conda-forge/recipe.yaml").read_text("utf-8"))
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 PROJECT = PYPROJECT["project"]
-#: Packages that conda-forge splits → the part without a window system.
+#: Packages that conda-forge splits → name of the part without a window system.
 NAMES = {"matplotlib": "matplotlib-base"}
 
 

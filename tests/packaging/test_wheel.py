@@ -1,4 +1,4 @@
-"""Released files: only what belongs there, reproducible, and working on their own."""
+"""Released files contain only what belongs there, are reproducible, and work alone."""
 
 import json
 import os
@@ -20,7 +20,7 @@ from support.distributions import EPOCH, build, unpacked
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 PREFIX = f"fluxobs-{PROJECT['project']['version']}"
-#: Files built in a clone and not in git.
+#: Files that a build adds to a clone; git does not track them.
 PAGE = {
     "src/fluxobs/page/page.html",
     "src/fluxobs/page/report.html",
@@ -43,7 +43,7 @@ def in_sdist(sdist):
 
 
 def test_a_clone_requires_the_tools_that_build_the_page():
-    """A source distribution requires none of them."""
+    """A source distribution has no such file."""
     (override,) = PROJECT["tool"]["scikit-build"]["overrides"]
     assert override["build"]["requires"] == PROJECT["dependency-groups"]["page"]
     assert override["if"]["from-sdist"] is False
@@ -54,7 +54,7 @@ def test_a_clone_requires_the_tools_that_build_the_page():
 
 @pytest.mark.slow
 def test_an_sdist_contains_the_files_in_git(built):
-    """And the page, and its own metadata."""
+    """The page and the sdist's metadata are added."""
     git = ["git", "-C", ROOT, "ls-files", "--cached", "--others", "--exclude-standard"]
     listed = subprocess.run(git, capture_output=True, text=True)
     if listed.returncode != 0:
@@ -89,7 +89,7 @@ def test_a_wheel_contains_only_the_package(built):
         | {f"{PREFIX}.dist-info/{name}" for name in metadata}
     )
     assert {name.split(".")[0] for name in compiled} == {"fluxobs/_core", "fluxobs/_core_single"}
-    # No path of the build machine, and no time except the release's.
+    # The files contain no path of the build machine, and no time except the release time.
     for path in (str(ROOT), str(built.wheel.parents[1]), str(Path.home()), sys.prefix, "/tmp/"):
         assert path.encode() not in binaries, path
     assert dates == {time.gmtime(EPOCH)[:6]}
@@ -99,7 +99,7 @@ def test_a_wheel_contains_only_the_package(built):
 def check_bill(text):
     """Check that the bill of materials is CycloneDX and lists all linked or bundled components.
 
-    Each has a version and a licence.
+    Each component has a version and a licence.
     """
     from cyclonedx.schema import SchemaVersion  # loading takes three seconds
     from cyclonedx.validation.json import JsonStrictValidator
@@ -123,7 +123,7 @@ def check_bill(text):
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="a shell script replaces git")
 def test_builds_are_equal_byte_for_byte_and_need_no_git(built, tmp_path):
-    """From the unpacked sdist: elsewhere, later, other permissions, outside any repository."""
+    """Build from the sdist later, elsewhere, outside any repository, with other permissions."""
     tools = tmp_path / "tools"
     tools.mkdir()
     (tools / "git").write_text(f"#!/bin/sh\ntouch {tmp_path}/called\nexit 1\n")
@@ -139,7 +139,7 @@ def test_builds_are_equal_byte_for_byte_and_need_no_git(built, tmp_path):
 
 @pytest.mark.slow
 def test_a_wheel_in_a_fresh_environment(built, tmp_path):
-    """Installed without dependencies, which are borrowed from this environment; no compiler."""
+    """Install without a compiler and without dependencies; this environment provides those."""
     venv.create(tmp_path / "env", with_pip=False)
     programs = tmp_path / "env" / ("Scripts" if os.name == "nt" else "bin")
     python = next(programs.glob("python*"))

@@ -1,1 +1,1 @@
-"""Shared by tests: records, trajectories, the command line, compiled folders."""
+"""Modules that tests share: records, trajectories, the command line, compiled folders."""

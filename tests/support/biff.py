@@ -1,4 +1,4 @@
-"""Writer of Excel 97 workbooks (.xls), which the libraries at hand cannot write."""
+"""Write Excel 97 workbooks (.xls), which no installed library can write."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SECTOR = 512
 
 
 def old_workbook(sheets: int, cells: Iterable[Cell]) -> bytes:
-    """Return a workbook whose sheets have these cells: row, column, number or text."""
+    """Return a workbook; the cells of a sheet are (row, column, number or text)."""
     sheet = _beginning(0x10) + b"".join(map(_cell, cells)) + _record(0xA)
     names = [b"\x03\0%03d" % n for n in range(sheets)]
     first = len(_beginning(5) + _record(0xA)) + sum(len(_record(0x85, bytes(6) + n)) for n in names)

@@ -1,4 +1,4 @@
-"""Pages in a browser, their columns, and their requests."""
+"""Pages in a browser, with their columns and requests."""
 
 import time
 
@@ -9,7 +9,7 @@ PATIENCE = 120_000
 
 
 class Window:
-    """A page in the browser, by path or address, with its requests and errors."""
+    """A page in the browser, with its requests and errors."""
 
     def __init__(self, page, path):
         self.page, self.path, self.asked, self.complaints = page, path, [], []
@@ -22,14 +22,14 @@ class Window:
         return self.page.evaluate(code, *arguments)
 
     def until(self, code):
-        """Wait until a function is true; the page's policy forbids evaluating text in it."""
+        """Wait until a function is true; the page's policy forbids the evaluation of text."""
         end = time.monotonic() + PATIENCE / 1000
         while not self.js(code):
             assert time.monotonic() < end, code
             self.page.wait_for_timeout(20)
 
     def column(self, name):
-        """Return a column of the drawn data, with all its bits."""
+        """Return a column of the drawn data, exact to the bit."""
         text = self.js(
             """(name) => {
                 const d = fluxobs.results.view.columns[name];
@@ -47,6 +47,6 @@ class Window:
         return self.js("() => Object.keys(fluxobs.results.view.columns)")
 
     def silent(self):
-        """Whether the page requested only itself and its worker; assert that it had no errors."""
+        """Whether the page requested only itself and its worker; assert that no error occurred."""
         assert not self.complaints
         return [url for url in self.asked if not url.startswith(("file:", "blob:", "data:"))] == []

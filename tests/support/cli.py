@@ -1,4 +1,4 @@
-"""The command line: in this process to test its interface, or as a separate process."""
+"""The command line, in this process to test its interface, or as a separate process."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Done:
 
 
 def fluxobs(*arguments: object, folder: Path) -> Done:
-    """Run `fluxobs ARGUMENTS` in a folder, by its entry point. Uncaught errors propagate."""
+    """Run `fluxobs ARGUMENTS` in a folder, through the entry point. Uncaught errors propagate."""
     out, err, code = io.StringIO(), io.StringIO(), 0
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:

@@ -1,4 +1,4 @@
-"""Source distribution and wheel, built as for a release."""
+"""Build source distribution and wheel as for a release."""
 
 import os
 import subprocess
@@ -7,7 +7,7 @@ import tarfile
 from dataclasses import dataclass
 from pathlib import Path
 
-#: Time of a release [s since 1970]; even, because zip files count in steps of two seconds.
+#: Time of a release [s since 1970], an even number because zip files count in steps of two seconds.
 EPOCH = 1_700_000_000
 
 

@@ -9,11 +9,11 @@ import equinox as eqx
 import jax
 import numpy as np
 
-# The module; the package has a function of the same name.
+# This is the module; the package has a function of the same name.
 module = importlib.import_module("fluxobs.simulation.drive.simulate")
 Profile = module.Profile
 
-#: Compiled lengths of runs and numbers of knots of profiles; a run uses the next larger one.
+#: Compiled lengths of runs, and knots of profiles; a run uses the next larger length.
 ROWS, KNOTS = (2400, 12000, 20000, 32000, 72000), 6
 _compiled = module._simulate
 
@@ -25,10 +25,10 @@ def _longer(profile: Any) -> Any:
 def simulate_compiled_once(
     drive: Any, course: Any, noise: np.ndarray, steps: int, delay: bool
 ) -> Any:
-    """Replace `_simulate`: XLA compiles a scan for its length and for the knots of profiles.
+    """Replace `_simulate`: XLA compiles a scan again for each length and each number of knots.
 
-    Runs are made longer than requested, and profiles repeat their last knot. The rows returned are
-    the requested ones, which later rows do not affect.
+    Runs are longer than requested, and profiles repeat their last knot. Only the requested rows are
+    returned; later rows do not affect them.
     """
     rows = len(noise)
     compiled_rows = next(length for length in ROWS if length >= rows)

@@ -30,7 +30,7 @@ SHARE = 1e-5
 def check(name: str, value: Any, share: float = SHARE) -> None:
     """Compare with tests/expected/NAME.json.
 
-    Numbers in texts may differ in their last digit, other numbers by a share.
+    Numbers in texts may differ in their last digit, other numbers by a relative tolerance.
     """
     path = FOLDER / f"{name}.json"
     actual = json.loads(json.dumps(plain(value)))
@@ -90,7 +90,7 @@ def plain(value: Any) -> Any:
 
 
 def pictures_of_reports(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """Collect the figures of HTML reports; the reports get a numbered mark for each."""
+    """Collect the figures of HTML reports and replace each figure by a number."""
     pictures: list[dict[str, Any]] = []
 
     def collect(figure: Figure, alt: str) -> str:
@@ -102,7 +102,7 @@ def pictures_of_reports(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]
 
 
 def describe(figure: Figure) -> dict[str, Any]:
-    """Return all that a figure shows: texts, lines, bands, bars, limits, colours."""
+    """Return everything that a figure shows: texts, lines, bands, bars, limits, colours."""
     legends = [[text.get_text() for text in legend.get_texts()] for legend in figure.legends]
     return {
         "size": figure.get_size_inches(),
@@ -130,7 +130,7 @@ def _axes(axes: Any) -> dict[str, Any]:
 
 
 def _extent(values: Any) -> list[float]:
-    """Return count, count of finite values, and minimum, maximum, mean and rms of these."""
+    """Return count, number of finite values, and the minimum, maximum, mean and rms of these."""
     values = np.asarray(values, float).ravel()
     finite = values[np.isfinite(values)]
     if not len(finite):

@@ -30,7 +30,7 @@ CPP_COMPILERS = [pytest.param(("g++",), id="g++"), pytest.param((*_ZIG, "cc"), i
 
 
 def cross_compiler(name: str) -> ParameterSet:
-    """Return a test parameter: the name of a compiler, skipped if it is missing."""
+    """Return a test parameter, the name of a compiler; tests are skipped if it is missing."""
     missing = shutil.which(name) is None
     return pytest.param(
         name, marks=pytest.mark.skipif(missing, reason=f"no cross compiler: {name}")
@@ -39,10 +39,10 @@ def cross_compiler(name: str) -> ParameterSet:
 
 @dataclass
 class Compiled:
-    """Exported folders, compiled to programs that replay a record.
+    """Exported folders, compiled into programs that replay a record.
 
-    The observer's source is the same in every folder, which is checked. It is compiled once per
-    compiler, precision and options.
+    Every folder must have the same observer source. This source is compiled once per compiler,
+    precision and options.
     """
 
     scratch: Path

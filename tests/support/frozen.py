@@ -1,4 +1,4 @@
-"""Tests that results are immutable, and that those with arrays compare by identity."""
+"""Tests that results are immutable, and that results with arrays are compared by identity."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def holds_arrays(kind: type) -> bool:
 
 
 def frozen_tests(room: ModuleType) -> tuple[Callable[[type], None], Callable[[type], None]]:
-    """Return two tests of a package's dataclasses; assign them to names `test_…` to run them."""
+    """Return two tests of a package's dataclasses; assigned to names `test_…`, both will run."""
     classes = dataclasses_of(room)
 
     @pytest.mark.parametrize("kind", classes)

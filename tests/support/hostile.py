@@ -1,4 +1,4 @@
-"""Shared by the tests of hostile logs."""
+"""Helpers for the tests of hostile logs."""
 
 import zipfile
 import zlib

@@ -1,4 +1,4 @@
-"""Readable reference of the adaptive observer's learner: two stages with covariances, one record.
+"""Readable reference of the adaptive observer's learner, for one record: two stages, covariances.
 
 Firmware keeps flux, drift and parameters in one information factor (fluxobs_learning.c). The same
 estimate follows from Friedland's separation of a bias (doi:10.1109/TAC.1969.1099223), extended by
@@ -9,10 +9,10 @@ loss:
     p = p̂ + G c + e_p,               cov e_p = Q        given the curve
     c ~ (0, 1)
 
-The fast stage processes every measurement row as if the parameters were known. Its innovation, with
-its own weight, is the measurement row of the slow stage. Everything is per-unit: flux bases,
-memories, standard deviations of the prior. tests/firmware/test_learning.py compares both, number by
-number.
+The fast stage processes every measurement row as if the parameters were known. The innovation of
+the fast stage, with its weight, is the measurement row of the slow stage. Everything is per-unit:
+the units are flux bases, memories and prior standard deviations. tests/firmware/test_learning.py
+compares the numbers of firmware and reference.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from fluxobs.machines.model.frames import wrap
 
 Array = NDArray[np.float64]
 
-#: Thresholds of fluxobs_learning.c, which states their reasons.
+#: Thresholds of fluxobs_learning.c; that file gives the reasons.
 BLOCK, BLOCK_MOST, MODEL = np.pi / 4, 0.3, 0.002
 INVERTER_UNMODELLED, KNEE_UNMODELLED, DRIFT_MEMORY = 0.05, 0.3, 100.0
 ROWS, CLIP, PROVEN, LEVEL_LEAST = 16.0, 25.0, 8.0, 0.02
 NEW_POINT, ROUND, DOUBT_LIMIT, HEAT_WALK, SINCE_MATTERS = 0.3, 16, 0.5, 0.1, 0.25
-#: Order of the parameters; the curve is last and only considered.
+#: Order of the parameters; the last, the curve, is a considered parameter.
 PSI, RESISTANCE, INVERTER, OFFSET, INDUCTANCE, CURVE = 0, 1, 2, 4, 6, 10
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the observer, with the meanings of ``fo_adaptive``."""
+    """Settings of the observer; ``fo_adaptive`` explains each setting."""
 
     h: float
     L: float
@@ -56,13 +56,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Linearisation point: the rotor as the filter estimates it."""
+    """Linearisation point at the estimated position of the rotor."""
 
     i: Array  # current without offset
     x: Array  # position vector
-    d: Array  # its direction
+    d: Array  # direction of x
     length: float
-    current_flux: tuple[float, float]  # flux of the current along and across d, as assumed
+    current_flux: tuple[float, float]  # assumed flux of the current along and across d
     current_length: float  # contribution of the current to the length
 
 
@@ -82,14 +82,14 @@ class Block:
 
 
 class LearningTwin:
-    """Filter and parameters, started at a flux and drift with these standard deviations."""
+    """Filter and parameters; `stds` are the initial standard deviations of flux and drift."""
 
     def __init__(self, settings: Settings, flux: Array, drift: Array, stds: Array, theta: float):
         self.a = settings
         self.f = np.concatenate([flux, drift])
         self.P = np.diag(np.asarray(stds, float) ** 2)
-        self.S = np.zeros((4, CURVE + 1))  # for parameters and curve
-        self.p = np.zeros(CURVE)  # published; `best` also has all prior re-injections
+        self.S = np.zeros((4, CURVE + 1))  # columns for parameters and curve
+        self.p = np.zeros(CURVE)  # published values; `best` also includes all prior re-injections
         self.best = np.zeros(CURVE)
         self.Q = np.eye(CURVE)
         self.G = np.zeros(CURVE)
@@ -209,13 +209,13 @@ class LearningTwin:
         self.across_at = self.block.time
 
     def _voltage_std(self, effect: Array) -> float:
-        """Return the voltage error from resistance and inverter after an interval like this."""
+        """Return the voltage error of resistance and inverter for an interval with this effect."""
         direction = np.zeros(CURVE + 1)
         direction[RESISTANCE:OFFSET] = np.hypot(*effect[RESISTANCE:OFFSET].T)
         return float(np.sqrt(self._parameter_variance(direction))) / self.a.h
 
     def _across(self, at: Linearisation, b: Block) -> tuple[float, float]:
-        """Return the position vector's variance across its direction, and the share of L_q."""
+        """Return the variance across the position vector's direction, and the share from L_q."""
         a = self.a
         across = J @ at.d
         to_fast = np.concatenate([across, b.time * across])
@@ -228,7 +228,7 @@ class LearningTwin:
         return filter_variance + without_L_q, self._parameter_variance(to_slow) - without_L_q
 
     def _propagate(self, b: Block, walk: float) -> None:
-        """Advance to the end of the block: λ = λ + T θ + effect p, and a random step."""
+        """Advance to the end of the block: λ = λ + T θ + effect p, plus process noise."""
         A = np.eye(4)
         A[:2, 2:] = b.time * np.eye(2)
         self.P = A @ self.P @ A.T
@@ -237,7 +237,7 @@ class LearningTwin:
         self.S[:2] += b.effect.T
 
     def _forget_drift(self, time: float) -> None:
-        """Move the drift's information, given the parameters, towards that of its prior."""
+        """Move the drift's information, given the parameters, towards the prior's information."""
         share, prior = time / DRIFT_MEMORY, 1 / self.a.plausible**2
         R = np.linalg.cholesky(np.linalg.inv(self.P)).T  # upper, R'R the information
         d = np.diag(R) ** 2
@@ -258,13 +258,13 @@ class LearningTwin:
         return value, row, 1 / variance
 
     def _parameter_variance(self, slow: Array) -> float:
-        """Return the variance of a row from the uncertainty of parameters and curve."""
+        """Return the variance that uncertain parameters and curve contribute to a row."""
         return float(
             slow[:CURVE] @ self.Q @ slow[:CURVE] + (slow[CURVE] + slow[:CURVE] @ self.G) ** 2
         )
 
     def _assess(self, slow: Array, value: float, information: float, share: float) -> bool:
-        """Update power and contradiction of the innovations; return whether this is an outlier."""
+        """Update the innovations' power and contradiction; return whether the row is an outlier."""
         square, noise = value**2, 1 / information
         variance = self._parameter_variance(slow)
         self.rows += share
@@ -314,7 +314,7 @@ class LearningTwin:
         return np.asarray(p - along * volts / (w @ along))
 
     def _forget(self, time: float) -> None:
-        """Scale the information once a round; re-inject the prior, one parameter per row."""
+        """Scale the information once per round; re-inject the prior, one parameter per row."""
         self.since += time * self.a.slow
         self.turn = (self.turn + 1) % ROUND
         if self.turn < CURVE:

@@ -1,4 +1,4 @@
-"""Logs of every shipped machine, as input for the page."""
+"""Logs of every shipped machine for tests of the page."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ def written(name: str, folder: Path) -> Path:
 def _turning(machine: RotatingMachine) -> dict[str, np.ndarray]:
     observer = LeastSquaresObserver.for_machine(machine, sample_time=SAMPLE_TIME)
     run = firmware_record(machine, observer)
-    voltage = np.roll(run.voltage, -1, axis=0)  # in a log, a row's voltage acts after the row
+    voltage = np.roll(run.voltage, -1, axis=0)  # in a log, a row's voltage acts after this row
     return {
         "t": SAMPLE_TIME * np.arange(len(voltage)),
         "u_alpha": voltage[:, 0],

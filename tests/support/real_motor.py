@@ -23,15 +23,15 @@ class Imperfect:
     Attributes
     ----------
     fifth, seventh : float
-        Harmonics of the magnets' flux, over its fundamental.
+        Harmonics of the magnets' flux, over the fundamental.
     saliency : float
-        L_q - L_d over the file's inductance, which is their mean.
+        L_q - L_d over the file's inductance, which is the mean of L_d and L_q.
     flux : float
         Magnet flux over the file's value.
     heating : float
-        Resistance at the end of the record over the file's value, growing evenly.
+        Resistance at the end of the record over the file's value; the resistance grows evenly.
     iron : float
-        Iron loss: current in phase with the EMF, over the rated current, at rated EMF.
+        Iron loss at rated EMF: current in phase with the EMF, over the rated current.
     """
 
     fifth: float = 0.0
@@ -50,7 +50,7 @@ def record(
     seconds: float = 4.0,
     seed: int = 0,
 ) -> Samples:
-    """Record load steps and a reversal; offset 1 %, noise 0.3 % of the rated current."""
+    """Record load steps and a reversal; offset and noise are 1 % and 0.3 % of the rated current."""
     rated, psi = machine.rated_current, real.flux * machine.magnet_flux
     rows = round(seconds / sample_time)
     t = sample_time / STEPS * np.arange(rows * STEPS + 1)

@@ -17,15 +17,15 @@ Array = NDArray[np.float64]
 
 SERVO = example("servo-400w")
 MACHINES = {name: example(name) for name in ("servo-400w", "pmsm-2kw2", "ipm-2kw2", "synrm-6kw7")}
-#: A typical current of each machine, in the rotor frame.
+#: Typical current of each machine, in the rotor frame.
 CURRENTS = {"servo-400w": 6j, "pmsm-2kw2": 4j, "ipm-2kw2": 4j, "synrm-6kw7": 8 + 10j}
 PMSM = MACHINES["pmsm-2kw2"]
 #: Sample time of :func:`course` and :func:`profile` [s].
 COURSE_TIME = 1.25e-4
-#: Integration steps per sample, for :func:`driven`.
+#: Number of integration steps per sample in :func:`driven`.
 PARTS = 16
 _T = 1e-3 * np.arange(200)
-#: Channels of a small log, for tests of other contents of a file.
+#: Channels of a small log; the tests that use it are about other contents of a file.
 SMALL_LOG = {
     "t": _T,
     "u_alpha": np.cos(_T),
@@ -46,7 +46,7 @@ class Samples:
     sample_time: float
     theta: Array
     flux: Array
-    current: Array  # measured: with bias and noise
+    current: Array  # as measured, with bias and noise
     voltage: Array
     volt_seconds: Array  # ∫ (-R i_m + u_m) dt with biases, without noise
     drift: Array
@@ -69,7 +69,7 @@ def steady(
     theta0: float = 0.7,
     seed: int = 0,
 ) -> Samples:
-    """Return a record at constant rotor-frame current; `speed` [rad/s]: one, or one per row."""
+    """Return a record at constant rotor-frame current; `speed` [rad/s] is a number or an array."""
     true = signals.steady(machine, sample_time, speed, rows, i_dq, theta0)
     drift = machine.R_s * current_bias - voltage_bias
     return Samples(
@@ -98,10 +98,10 @@ def driven(
     theta0: float = 0.7,
     seed: int = 0,
 ) -> Samples:
-    """Return a record with any course of speed and rotor-frame current, linear between rows.
+    """Return a record with this speed and rotor-frame current, both linear between rows.
 
-    The true R_s and psi_f may differ from those in `machine`. The inverter loses `inverter` volts
-    per phase against the sign of the phase current, tanh(i / smoothing).
+    The true R_s and psi_f may differ from the values in `machine`. The inverter loses `inverter`
+    volts per phase, with the sign tanh(i / smoothing) of the phase current.
     """
     changes = {"R_s": R_s, "psi_f": psi_f}
     machine = machine.with_values(**{k: v for k, v in changes.items() if v is not None})
@@ -128,7 +128,7 @@ def driven(
 
 
 def profile(*knots: tuple[float, float]) -> Array:
-    """Interpolate linearly between (time [s], value) knots, one value every COURSE_TIME."""
+    """Return one value every COURSE_TIME, linear between the knots (time [s], value)."""
     t, values = zip(*knots, strict=True)
     return np.asarray(np.interp(np.arange(0, t[-1], COURSE_TIME), t, values), float)
 
@@ -163,9 +163,9 @@ def held(
     noise: float = 0.0,
     seed: int = 0,
 ) -> Samples:
-    """Return a surface machine at constant speed, fed by voltages held over each sample.
+    """Return a record of a surface machine at constant speed; each sample's voltage is held.
 
-    This is the exact solution of its differential equation. Each voltage brings i_q to its
+    The record is the exact solution of the differential equation. Each voltage brings i_q to the
     reference at the end of its sample.
     """
     R, L, psi = machine.R_s, machine.L_s, machine.psi_f

@@ -1,4 +1,4 @@
-"""Relations between flux and current that no machine has."""
+"""Relations between flux and current that do not occur in any machine."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def maglev():
 
 
 def three_port(seed=3):
-    """Random relation with every term, also C and E; the flux moves on it along one direction."""
+    """Random relation with all terms, also C and E; the flux moves on it along one direction."""
     rng = np.random.default_rng(seed)
     Q1, Q2, Q3 = rng.standard_normal((3, 3, 3))
     E, C, along = rng.standard_normal((3, 3))
@@ -123,14 +123,14 @@ CASES = {"pmsm": pmsm, "synrm": synrm, "maglev": maglev, "three-port": three_por
 
 
 def filtered(case: Case, corner: float, times, form="corrected", from_zero=True):
-    """Return the regression at `times`, from filters integrated to 1e-13 from the first time on."""
+    """Return the regression at `times`; its filters are integrated from times[0] to 1e-13."""
     regression = FilteredRegression(case.constraint, corner, form)
 
     def field(t, xi, _):
         return regression.derivative(xi, *case.measured(t))
 
     steps = jnp.linspace(times[0], times[-1], 4000)
-    # Land on the requested times: interpolation between steps is not exact enough.
+    # Steps end at the requested times: interpolation between steps is not exact enough.
     grid = jnp.unique(jnp.concatenate([steps, jnp.asarray(times)]))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),

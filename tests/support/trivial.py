@@ -1,4 +1,4 @@
-"""A campaign whose scenarios cost nothing, for tests of all except the simulation.
+"""A campaign with trivial scenarios, for tests of everything except the simulation.
 
 python -m support.trivial FOLDER SCENARIOS SCHEDULER WORKERS
 """
@@ -27,7 +27,7 @@ SIZE = 50
 
 @dataclass(frozen=True)
 class Trivial:
-    """Rows that depend only on their numbers, after a pause."""
+    """Return rows that depend only on their numbers, after a pause."""
 
     folder: str
     pause: float = 0.02
@@ -48,7 +48,7 @@ def specification(scenarios: int) -> Specification:
 
 
 def drive(folder: Path, scenarios: int, scheduler: str, workers: int) -> Dataset:
-    """Do the missing scenarios, as `campaign` does."""
+    """Run the missing scenarios, as `campaign` does."""
     with locked(folder):
         campaign = dataset.create(folder, specification(scenarios), SIZE)
         fill(campaign, Trivial(str(folder)), workers, scheduler, lambda done, total: None)

@@ -17,8 +17,9 @@ from ..observers.derived import derived
 from ..observers.for_log import AnyObserver
 from ..observers.outputs import in_files
 
-#: The position of the immersed observer is valid only if its standard deviation is below this share
-#: of its span: 3°, or 5 % of the gap. The compiled observer has the same limit (STD_LIMIT).
+#: A position of the immersed observer is valid only if its standard deviation is below this share
+#: of the position's span: 3°, or 5 % of the gap. The compiled observer has the same limit
+#: (STD_LIMIT).
 POSITION_STD = 0.05
 
 
@@ -32,11 +33,11 @@ class EstimateRows:
         The columns of the output file: name → values.
     valid : (rows,) ndarray of bool
     error : (rows,) ndarray, optional
-        Position error, if the log has a true position.
+        Position error; None if the log has no true position.
     innovation : (rows,) ndarray, optional
-        Only from the compiled observers.
+        None if the observer is not a compiled one.
     more : dict
-        Columns for pictures and summary only: truth, raw (the truth channel), adapting.
+        Columns that only pictures and summary use: truth, raw (the truth channel), adapting.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -49,7 +50,7 @@ class EstimateRows:
 def rows_of(
     log: Log, machine: Machine, observer: AnyObserver, batch: Aligned, estimates: Any
 ) -> EstimateRows:
-    """Return the columns of the `estimates` of `observer` for a `batch` of the log."""
+    """Return the columns for a `batch` of the log, from the `estimates` of `observer`."""
     more: dict[str, Array] = {}
     if isinstance(estimates, Estimate):
         columns, valid = _compiled(machine, batch, estimates)
@@ -103,7 +104,7 @@ def _immersed(
     columns: dict[str, NDArray[Any]] = {"t": batch.t}
     for output in in_files(ImmersionEstimate):
         match output.name:
-            case "noise_share":  # the larger of the two ports
+            case "noise_share":  # the larger of both ports' shares
                 columns["noise_share"] = estimates.noise_share.max(axis=1)
             case "valid":
                 columns["valid"] = valid

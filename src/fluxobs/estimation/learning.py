@@ -17,13 +17,14 @@ from ..observers.adaptive import Learnt
 from ..observers.compiled import CompiledState
 from ..observers.for_log import Prepared
 
-#: A parameter is identifiable if its standard deviation falls below this share of its prior's. At a
-#: half, three quarters of the estimate's information come from the record.
+#: A parameter is identifiable if its standard deviation falls below this share of the prior
+#: standard deviation. At one half, three quarters of the estimate's information come from the
+#: record.
 UNSEEN = 0.5
-#: From a longer log, learn from this many segments of this many rows, ten minutes at 20 kHz in all:
-#: more rows do not help, since slow changes of the parameters limit the accuracy.
+#: Number of segments from which to learn in a longer log, and their rows: ten minutes at 20 kHz in
+#: all. More rows do not help, since slow changes of the parameters limit the accuracy.
 SEGMENTS, SEGMENT_ROWS = 12, 1_000_000
-#: A learnt value agrees with the given one within this many standard deviations.
+#: A learnt and a given value agree if they differ by at most this many standard deviations.
 AGREES = 3.0
 #: A residual below this share of the flux squared is accepted: measured logs with correct machine
 #: data and settings reach 0.3 to 0.8 % (benchmarks/measured.py).
@@ -34,7 +35,7 @@ NOISE_FACTOR = 3.0
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an adaptive observer, as assumed and as learnt."""
+    """A parameter of an adaptive observer: assumed value and learnt value."""
 
     name: str
     unit: str
@@ -69,9 +70,9 @@ def parameters(observer: AdaptiveObserver, learnt: Learnt) -> list[Parameter]:
 
 
 def learning_segments(log: Log) -> list[tuple[int, int]]:
-    """Return the (first row, end row) of the segments from which parameters are learnt.
+    """Return (first row, end row) of each segment from which parameters are learnt.
 
-    One segment spans a short log; those of a long log are evenly spread.
+    A short log is one segment; the segments of a long log are evenly spread.
     """
     if len(log) <= SEGMENTS * SEGMENT_ROWS or not log.table.random_access:
         return [(log.first, log.last)]
@@ -82,7 +83,7 @@ def learning_segments(log: Log) -> list[tuple[int, int]]:
 def learn(
     run: Prepared, observer: AdaptiveObserver, count_rows: Callable[[int], Any]
 ) -> tuple[CompiledState, Learnt]:
-    """Run over the log; return a state that holds the learnt parameters fixed, and those."""
+    """Run over the log; return a state with fixed learnt parameters, and the parameters."""
     state = observer.init()
     for n, (start, end) in enumerate(learning_segments(run.log)):
         if n > 0:
@@ -96,8 +97,9 @@ def learn(
 def adaptive_needed(observer: AdaptiveObserver, learnt: Learnt, plain: Prepared) -> bool:
     """Whether a log needs the adaptive observer.
 
-    It does if the log identifies the resistance or the inverter, and if they disagree with the
-    given values or noise does not explain the residual of the plain observer.
+    Two conditions must hold. First, the log identifies the resistance or the inverter. Second,
+    these values disagree with the given values, or noise does not explain the residual of the plain
+    observer.
     """
     resistive = [
         parameter for parameter in parameters(observer, learnt) if parameter.name != "magnet flux"
@@ -130,6 +132,6 @@ def _fits(plain: Prepared) -> bool:
 
 
 def doubtful(residual: float, machine: RotatingMachine, flux: float, scales: Scales) -> bool:
-    """Whether a residual, as a share of the flux squared, is larger than noise explains."""
+    """Whether noise cannot explain a residual, which is a share of the flux squared."""
     noise = machine.constraint_noise(flux, scales.current_noise) / flux**2
     return not residual < max(RESIDUAL_LIMIT, NOISE_FACTOR * noise)

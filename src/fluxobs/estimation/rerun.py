@@ -17,8 +17,8 @@ from .columns import EstimateRows, rows_of
 class Again:
     """A log in memory, for repeated runs.
 
-    Each run gives the numbers of :func:`fluxobs.estimate` with the same settings, except that the
-    sizes of the signals are those given here. The log is not read or checked again.
+    Each run gives the numbers of :func:`fluxobs.estimate` with the same settings, but uses the
+    sizes of the signals given here. The log is not read or checked again.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Again:
         unknowns : tuple of str
             Not "auto".
         lag : float, optional
-            In samples; default: the log's.
+            Lag in samples; default: the lag of the log.
         """
         shift = 0.0 if lag is None else lag - self.log.layout.lag
         log = self.log.lagged(shift)
@@ -65,7 +65,7 @@ class Again:
         return rows_of(run.log, machine, observer, samples, estimates)
 
     def _aligned(self, log: Log) -> Aligned:
-        """Return all rows with the commanded voltages; cache those of the last two lags."""
+        """Return all rows with the commanded voltages; cache the rows of the last two lags."""
         lag = log.layout.lag
         if lag not in self._samples:
             if len(self._samples) > 1:

@@ -21,7 +21,7 @@ class LogRun:
     Attributes
     ----------
     log : Log
-        As read; the inverter's error is subtracted if the observer does not model it.
+        The log as read, without the inverter's error if the observer does not model this error.
     machine : Machine
     observer : LeastSquaresObserver, AdaptiveObserver or ImmersionObserver
         The observer that ran, with all its settings.
@@ -29,18 +29,18 @@ class LogRun:
         Sizes of the log's signals.
     unknowns : tuple of str
     memory : float, optional
-        As given [s]; the memory in use is ``observer.memory``.
+        The given memory [s]; the memory in use is ``observer.memory``.
     priors : mapping
     statistics : Statistics
         Counts and means over the rows.
     counts : SampleCounts
         Bad samples and restarts.
     learnt : Learnt, optional
-        What the adaptive observer learnt, if it ran.
+        Parameters that the adaptive observer learnt; None if another observer ran.
     automatic : bool
         Whether the unknowns were chosen from the log.
     causal : bool
-        Whether the observer learnt while it estimated, not from the whole log first.
+        Whether the observer learnt while it estimated, instead of from the whole log first.
     """
 
     log: Log
@@ -58,7 +58,7 @@ class LogRun:
 
     @property
     def rotor(self) -> RotatingMachine:
-        """The machine as a rotating one, which it is if a compiled observer ran."""
+        """The machine, which rotates in every run of a compiled observer."""
         return rotating(self.machine, "this part of a result")
 
     @property
@@ -70,5 +70,5 @@ class LogRun:
 
     @property
     def adaptive(self) -> AdaptiveObserver | None:
-        """The adaptive observer, if it ran."""
+        """The adaptive observer; None if another observer ran."""
         return self.observer if isinstance(self.observer, AdaptiveObserver) else None

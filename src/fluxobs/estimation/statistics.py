@@ -1,4 +1,4 @@
-"""Data of a run for its summary and picture; their size does not grow with the log."""
+"""Data for the summary and picture of a run; the size of the data does not grow with the log."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ..core.arrays import Array
 from .columns import EstimateRows
 from .truth import TruthSamples
 
-#: Rows of the thinned-out log, and of the window around the first valid row shown in full: as many
-#: as a picture can resolve, in a few megabytes.
+#: Number of rows of the thinned-out log, and of the window around the first valid row, which is
+#: shown in full. A picture cannot resolve more rows; these fit into a few megabytes.
 THIN_ROWS, DETAIL_ROWS = 4000, 3000
 
 
@@ -46,21 +46,21 @@ class Statistics:
     start: float = 0.0
     first_valid: float | None = None  # time of the row [s]
     first_valid_row: int | None = None
-    sums: dict[str, float] = field(default_factory=dict)  # of each column over the valid rows
-    settled: int = 0  # rows since the first valid one
+    sums: dict[str, float] = field(default_factory=dict)  # sum of each column over the valid rows
+    settled: int = 0  # rows since the first valid row
     innovation: float = 0.0  # sum of squares over the settled rows
     scored: int = 0
     error: float = 0.0
     error_squared: float = 0.0
     error_max: float = 0.0
-    # each column in the last adapting row
+    # Value of each column in the last adapting row.
     last_adapting: dict[str, float] = field(default_factory=dict)
     truth: TruthSamples | None = None
     thin: Series = field(default_factory=Series)
     detail: Series = field(default_factory=Series)
 
     def mean(self, name: str) -> float:
-        """Return the mean of a column over the valid rows; there must be at least one."""
+        """Return the mean of a column over the valid rows; at least one row must be valid."""
         return self.sums[name] / self.valid
 
     @property
@@ -99,9 +99,9 @@ class Statistics:
         self.rows += count
 
     def _add_settled(self, rows: EstimateRows, first: int, count: int) -> None:
-        """Add the rows from the first valid one on, also invalid ones.
+        """Add the first valid row and all later rows, valid or not.
 
-        A large innovation can itself make a row invalid.
+        A large innovation alone can make a row invalid.
         """
         since = max(0, first - self.rows)
         self.settled += count - since

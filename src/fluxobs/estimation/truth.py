@@ -1,9 +1,9 @@
 """Fit the truth of a log to the estimate: errors of an encoder, a speed signal or Hall sensors.
 
 An encoder's zero, direction and delay are seldom known, its disc is never centred, and the number
-of pole pairs may be wrong. These are fitted to the estimated angle, with standard deviations; the
-remaining difference is the error of the estimate. A constant error of the estimate is ambiguous: it
-appears in the zero, whose standard deviation allows for it.
+of pole pairs may be wrong. These errors are fitted to the estimated angle, with standard
+deviations; the remaining difference is the error of the estimate. A constant error of the estimate
+cannot be separated from the zero; the standard deviation of the zero includes this error.
 """
 
 from __future__ import annotations
@@ -21,25 +21,26 @@ from ..machines import RotatingMachine
 from ..machines.model.frames import wrap
 from .columns import EstimateRows
 
-#: Greatest number of rows in a fit, evenly spread, and of Hall edges.
+#: Largest numbers of evenly spread rows, and of Hall edges, in a fit.
 MAX_ROWS, MAX_EDGES = 40_000, 200_000
-#: Rows in a span over which turns are counted.
+#: Turns are counted over spans of this many rows.
 SPAN = 32
 #: Number of blocks of rows whose errors are assumed to be independent.
 BLOCKS = 40
-#: A ratio of turns this close to an integer, relatively, is that number of pole pairs.
+#: If the ratio of turns is this close (relative) to an integer, the integer is the number of pole
+#: pairs.
 WHOLE = 0.02
-#: Speeds must differ by this share of the largest to separate a delay from the zero.
+#: Speeds must differ by this share of the largest speed to separate a delay from the zero.
 VARIED = 0.3
-#: A parameter is reported if it exceeds this many standard deviations.
+#: A parameter is reported if its value exceeds this many standard deviations.
 SIGNIFICANT = 3.0
 #: Share of a shaft turn that the rows must cover for a fit of the eccentricity.
 COVERED = 0.9
-#: Larger rms errors of the angle in a block of rows are errors of the channel [rad].
+#: A larger rms error of the angle in a block of rows is an error of the channel [rad].
 LOST = np.radians(5.0)
-#: A step of the zero explains such an error if less than this share of the squared error remains.
+#: A step of the zero explains the error if less than this share of the squared error remains.
 SLIPPED = 0.1
-#: Larger rms errors of a speed, as a share of the largest speed, are errors of the channel.
+#: A larger rms error of a speed, over the largest speed, is an error of the channel.
 LOST_SPEED = 0.1
 
 
@@ -67,8 +68,8 @@ class TruthSamples:
     rows: int = 0
     known: int = 0  # valid rows on which the channel has a value
     batches: list[dict[str, Array]] = field(default_factory=list)
-    product: float = 0.0  # Σ of estimated times true turned angle, over spans
-    square: float = 0.0  # Σ of the true turned angle squared
+    product: float = 0.0  # Σ over spans: estimated times true turned angle
+    square: float = 0.0  # Σ over spans: true turned angle squared
     turned: float = 0.0  # angle turned by the channel, in both directions [rad]
     edges: list[Array] = field(default_factory=list)
     edge_count: int = 0
@@ -135,19 +136,19 @@ class TruthFit:
     channel : str
     parameters : tuple of TruthParameter
     pole_pairs : int
-        Of the truth; negative if it counts opposite to the estimate.
+        Pole pairs of the truth; negative if the truth counts opposite to the estimate.
     words : tuple of str
-        The results, one clause each.
+        Results as text, one clause per result.
     rms, most : float
-        Remaining position error [rad], or error of the speed [rad/s]: rms and maximum.
+        Rms and maximum of the remaining position error [rad], or of the speed error [rad/s].
     half_turn : bool
         Whether the position is ambiguous by half a turn.
     known : mapping
-        What the fit subtracts: name of the regressor → coefficient.
+        Errors that the fit subtracts: name of the regressor → coefficient.
     wrong_turns : bool
-        Whether pole pairs or direction differ from the given ones.
+        Whether pole pairs or direction differ from the given values.
     lost : str, optional
-        Where the channel does not follow the flux.
+        Text that says where the channel does not follow the flux.
     """
 
     channel: str
@@ -168,16 +169,16 @@ class TruthFit:
 
     @property
     def told(self) -> bool:
-        """Whether there is an error of the channel to report."""
+        """Whether the channel has an error to report."""
         failed = self.wrong_turns or self.lost is not None or not self.parameters
         return failed or any(parameter.told for parameter in self.parameters)
 
     def __getitem__(self, name: str) -> TruthParameter:
-        """Return the parameter of that name."""
+        """Return the parameter named `name`."""
         return next(parameter for parameter in self.parameters if parameter.name == name)
 
     def error(self, theta: Array, raw: Array, speed: Array) -> Array:
-        """Return estimated minus true angle, minus the fitted errors of the channel [rad]."""
+        """Return estimated angle minus true angle, minus the channel's fitted errors [rad]."""
         error = _difference(theta, raw, self.pole_pairs, self.half_turn)
         X, names = _design(raw, speed, tuple(self.known))
         return _wrapped(error - X @ np.array([self.known[name] for name in names]), self.half_turn)
@@ -224,7 +225,7 @@ def _fit_angle(
     theta, raw, speed = columns["theta_e"], columns["raw"], columns["speed_e"]
     given_pole_pairs = machine.n_p if samples.channel == "theta_mech" else 1
     if not samples.square > 1.0:
-        message = "the angle hardly turns, though the flux does"
+        message = "the angle hardly turns, but the flux turns"
         return TruthFit(
             samples.channel, (), given_pole_pairs, (message,), np.nan, np.nan, wrong_turns=True
         )
@@ -234,7 +235,7 @@ def _fit_angle(
     if pole_pairs == 0 or abs(ratio / pole_pairs - 1) > WHOLE:
         clauses.append(
             f"the flux turns {ratio:.3g} times per turn of the channel, not a whole "
-            f"number of pole pairs: the channel's unit is wrong, or it is not this rotor's angle"
+            f"number of pole pairs: the channel's unit is wrong, or the angle is not this rotor's"
         )
         return TruthFit(
             samples.channel, (), given_pole_pairs, tuple(clauses), np.nan, np.nan, wrong_turns=True
@@ -260,7 +261,7 @@ def _fit_angle(
     fitted = dict(zip(names, values, strict=True))
     fitted["zero"] = float(fitted["zero"] + centre)
     estimate_std = float(np.median(columns["theta_e_std"]))
-    # Errors of the estimate repeat with each turn of the shaft and may be proportional to speed.
+    # Errors of the estimate repeat each turn of the shaft and may be proportional to speed.
     variance = float(np.mean(residual**2))
     systematic = dict.fromkeys(names, variance / max(samples.turned / (2 * np.pi), 1.0))
     systematic["zero"] = 0.0
@@ -289,7 +290,7 @@ def _fit_angle(
 def _slip(
     X: Array, error: Array, columns: Mapping[str, Array], residual: Array
 ) -> tuple[Array, Array, Array, str] | None:
-    """Fit with the best step of the zero added; None if the step does not explain the residual."""
+    """Add the best step of the zero to the fit; None if the step does not explain the residual."""
     row, best = columns["row"], (np.inf, 0.0)
     for step_row in np.linspace(row[0], row[-1], 4 * BLOCKS + 1)[1:-1]:
         A = np.concatenate([X, (row > step_row)[:, None]], axis=1)
@@ -303,21 +304,21 @@ def _slip(
     step, std = np.degrees([value[-1], np.sqrt(covariance[-1, -1])])
     time = float(columns["t"][np.searchsorted(row, best[1])])
     clause = (
-        f"at about {time:.3g} s its zero steps by {step:+.3g}° ± {std:.1g}° electrical: "
-        f"it has slipped"
+        f"at about {time:.3g} s the zero steps by {step:+.3g}° ± {std:.1g}° electrical: "
+        f"the encoder has slipped"
     )
     return value[:-1], covariance[:-1, :-1], slip_residual, clause
 
 
 def _lost(columns: Mapping[str, Array], residual: Array) -> str | None:
-    """Describe where an angle does not follow the flux; None if it does everywhere."""
+    """Describe where the angle does not follow the flux; None if it follows the flux everywhere."""
     edges = np.linspace(columns["row"][0], columns["row"][-1] + 1, BLOCKS + 1)
     block = np.searchsorted(edges, columns["row"], side="right") - 1
     count = np.bincount(block, minlength=BLOCKS)
     block_rms = np.sqrt(np.bincount(block, residual**2, minlength=BLOCKS) / np.maximum(count, 1))
-    typical = float(np.quantile(block_rms[count > 0], 0.25))  # most blocks may be lost
+    typical = float(np.quantile(block_rms[count > 0], 0.25))  # most blocks may be bad
     if typical > LOST:
-        return f"it does not follow the flux: error {np.degrees(typical):.3g}° rms"
+        return f"the channel does not follow the flux: error {np.degrees(typical):.3g}° rms"
     lost = block_rms > max(LOST, 4 * typical)
     if not lost.any():
         return None
@@ -330,11 +331,11 @@ def _lost(columns: Mapping[str, Array], residual: Array) -> str | None:
     t = columns["t"][inside]
     ending = "" if end >= BLOCKS or not lost[end:].any() else ", and again later"
     rms = np.degrees(np.sqrt(np.mean(residual[inside] ** 2)))
-    return f"from {t[0]:.4g} to {t[-1]:.4g} s it {behaviour}, error {rms:.3g}° rms{ending}"
+    return f"from {t[0]:.4g} to {t[-1]:.4g} s the channel {behaviour}, error {rms:.3g}° rms{ending}"
 
 
 def _robust(X: Array, y: Array, row: Array) -> tuple[Array, Array, Array]:
-    """Huber's fit; its covariance allows for correlated errors within blocks of rows."""
+    """Fit with Huber's weights; the covariance includes correlated errors within blocks of rows."""
     scale = np.abs(X).max(axis=0) + 1e-300
     A = X / scale
     weight = np.ones(len(y))
@@ -377,7 +378,7 @@ def _angle_parameters(
         size = float(np.hypot(*vector))
         direction = vector / (size + 1e-300)
         spread = float(np.sqrt(direction @ covariance[np.ix_(pair, pair)] @ direction))
-        # As an angle of the shaft: that is how an encoder's error is specified.
+        # Convert to an angle of the shaft, since encoder errors are specified so.
         parameters.append(
             TruthParameter(
                 f"eccentricity {order}", size / abs(pole_pairs), spread / abs(pole_pairs), "rad"
@@ -405,7 +406,7 @@ def _angle_clauses(
             )
         clauses.append(clause)
     if pole_pairs < 0:
-        clauses.append("it counts opposite to the estimated angle")
+        clauses.append("the channel counts opposite to the estimated angle")
     for parameter in parameters:
         value, std = np.degrees(parameter.value), np.degrees(parameter.std)
         if parameter.name == "zero":
@@ -445,7 +446,7 @@ def _fit_speed(
     values, covariance, _ = _robust(X, estimated, columns["row"])
     gain = TruthParameter("gain", float(values[0]), float(np.sqrt(covariance[0, 0])), "1")
     error = estimated - raw
-    clauses = [f"estimated over given speed {gain.value:.4f} ± {gain.std:.1g}"]
+    clauses = [f"ratio of estimated to given speed {gain.value:.4f} ± {gain.std:.1g}"]
     likely = machine.n_p * gain.value
     if (
         channel == "speed_mech"
@@ -458,12 +459,12 @@ def _fit_speed(
     share = residual_rms / float(np.abs(raw).max())
     lost = None
     if share > LOST_SPEED:
-        lost = f"apart from the gain it differs by {share:.0%} of the largest speed, rms"
+        lost = f"with the gain corrected, the rms difference is {share:.0%} of the largest speed"
         clauses.append(lost)
     return TruthFit(channel, (gain,), 1, tuple(clauses), rms, largest, lost=lost)
 
 
-#: Codes of three Hall sensors, 120° apart, in the order of a rotor that turns forward; a is bit 0.
+#: Codes of three Hall sensors 120° apart, in the order of forward rotation; sensor a is bit 0.
 FORWARD = (1, 3, 2, 6, 4, 5)
 
 
@@ -493,7 +494,7 @@ def _fit_hall(samples: TruthSamples) -> TruthFit | None:
     direction = np.where(step == 1, 1.0, -1.0) * turned
     if np.mean(direction[neighbours]) < 0:
         clauses.append("the code turns opposite to the estimate: two Hall wires are exchanged")
-    # An edge lies between two states, whichever way it is crossed.
+    # An edge lies between the same two states in both directions.
     edge_pairs = [tuple(sorted((int(a), int(b)))) for a, b in zip(start, end, strict=True)]
     edges: dict[Any, tuple[float, float]] = {}
     scatters = []

@@ -1,4 +1,4 @@
-"""The passes over a log: the first learns the parameters, the second makes the estimates."""
+"""The passes over a log: the first pass learns the parameters, the second pass estimates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .learning import adaptive_needed, learn, learning_segments
 from .statistics import Statistics
 from .truth import TruthSamples
 
-#: Called with the number of rows done and of all rows, both including the first pass.
+#: Called with the number of finished rows and of all rows; both include the first pass.
 Progress = Callable[[int, int], Any]
 
 
@@ -32,7 +32,7 @@ class Passes:
     unknowns, memory, priors, automatic, causal
         See :class:`fluxobs.estimation.run.LogRun`.
     state : Any
-        State in which the observer starts.
+        State from which the observer starts.
     learnt : Learnt, optional
     done : int
         Rows processed in the first pass.
@@ -68,8 +68,8 @@ class Passes:
         ----------
         log : Log
         machine, unknowns, memory, priors, causal, progress
-            See :func:`fluxobs.estimate`; the unknowns as
-            :func:`~fluxobs.observers.unknowns.read_unknowns` returns them.
+            See :func:`fluxobs.estimate`; `unknowns` come from
+            :func:`~fluxobs.observers.unknowns.read_unknowns`.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class Passes:
         return passes
 
     def _learn(self, observer: AdaptiveObserver, log: Log, progress: Progress | None) -> None:
-        """Run the first pass; discard what it learnt if the log does not need it."""
+        """Run the first pass; discard the learnt parameters if the log does not need them."""
         total = sum(end - start for start, end in learning_segments(self.run.log)) + len(log)
 
         def count(rows: int) -> None:

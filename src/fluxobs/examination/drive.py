@@ -18,15 +18,15 @@ from .item import Item, flag_if, judge
 
 #: Highest normal winding temperature [°C].
 WARM = 130.0
-#: Normal deviation of the magnet flux from the machine file: temperature, spread of production.
+#: Largest normal deviation of the magnet flux from the machine file (temperature, production).
 MAGNET = 0.08
 #: Largest normal inverter voltage, as a share of the log's voltage.
 INVERTER = 0.03
-#: Largest insignificant error of the lag [samples]: noise has a larger effect.
+#: Smaller errors of the lag [samples] do not matter: the effect of noise is larger.
 LAG = 0.1
 #: Largest normal inequality of the phase gains.
 GAIN = 0.01
-#: Largest normal drift, as a share of the voltage: offsets of one percent.
+#: Largest normal drift, as a share of the voltage: it results from offsets of one percent.
 DRIFT = 0.02
 #: Largest normal eccentricity of an encoder and scatter of Hall edges [rad].
 ECCENTRIC, HALL = np.radians(0.5), np.radians(5.0)
@@ -46,11 +46,11 @@ def learnt_items(result: Result, cold_resistance: float | None) -> list[Item]:
     items = []
     resistance = learnt.get("resistance")
     if resistance is not None:
-        if resistance.told or resistance.std < 0.1 * resistance.value:  # the file states it well
+        if resistance.told or resistance.std < 0.1 * resistance.value:  # the file's R_s is good
             items += _resistance_items(resistance.value, resistance.std, result, cold_resistance)
         else:
             items.append(
-                _undetermined("resistance", ("log steps of load, or slow rotation with current"))
+                _undetermined("resistance", "record steps of load, or slow rotation with current")
             )
     magnet = learnt.get("magnet flux")
     if magnet is not None and result.rotor.magnet_flux:
@@ -60,19 +60,21 @@ def learnt_items(result: Result, cold_resistance: float | None) -> list[Item]:
         if inverter.told:
             items.append(_inverter_item(inverter.value, inverter.std, result))
         else:
-            words = "log reversals of the current, or slow rotation with little current"
+            words = "record reversals of the current, or slow rotation with little current"
             items.append(_undetermined("inverter voltage", words))
     items.append(_gains_item(result, result.learnt))
     drift = mean_of(result, "drift")
     size, voltage = float(np.hypot(*drift)), result.scales.voltage
     verdict = flag_if(size > DRIFT * voltage)
-    words = f"{size / voltage:.1%} of the voltage; voltage offsets, and current offsets times R_s"
+    words = (
+        f"{size / voltage:.1%} of the voltage; due to voltage offsets and current offsets times R_s"
+    )
     items.append(Item("drift of the flux integral", verdict, words, size, None, "V"))
     return items
 
 
 def _undetermined(name: str, test: str) -> Item:
-    return Item(name, "cannot be told", f"to determine it, {test}")
+    return Item(name, "cannot be told", f"to determine this value, {test}")
 
 
 def _resistance_items(value: float, std: float, result: Result, cold: float | None) -> list[Item]:
@@ -89,7 +91,7 @@ def _resistance_items(value: float, std: float, result: Result, cold: float | No
     ]
     reference = given if cold is None else cold
     temperature, temperature_std = (value / reference - 1) / COPPER + COLD, std / reference / COPPER
-    words = "copper" if cold is not None else "copper, if R_s in the machine file holds at 20 °C"
+    words = "copper" if cold is not None else "copper, if the machine file's R_s is for 20 °C"
     verdict = (
         judge(temperature, temperature_std, WARM, 0.0)
         if temperature > COLD - 3 * temperature_std - 20
@@ -104,13 +106,13 @@ def _resistance_items(value: float, std: float, result: Result, cold: float | No
 def _magnet_item(value: float, std: float, told: bool, result: Result) -> Item:
     given = result.rotor.magnet_flux or 0.0
     if not told and std > MAGNET * given:
-        return _undetermined("magnet flux", "log some seconds of faster rotation")
+        return _undetermined("magnet flux", "record some seconds of faster rotation")
     share, share_std = value / given, std / given
     words = f"{share:.1%} of the machine file's {given:.4g} Wb"
     verdict = judge(share, share_std, MAGNET, 1.0)
     if verdict == "look at it":
         words += (
-            "; weakened by heat (0.1 to 0.2 % per kelvin) or demagnetised, if the file is right"
+            "; if the file is right, the magnets are hot (0.1 to 0.2 % per kelvin) or demagnetised"
             if share < 1
             else "; is psi_f in the machine file a line-to-line or rms value?"
         )
@@ -120,7 +122,7 @@ def _magnet_item(value: float, std: float, told: bool, result: Result) -> Item:
 def _inverter_item(value: float, std: float, result: Result) -> Item:
     log, voltage = result.log, result.scales.voltage
     words = (
-        f"{value / voltage:.1%} of the voltage in this log; dead time and device drops per phase"
+        f"{value / voltage:.1%} of the voltage in this log; dead time and device drops of a phase"
     )
     link = log.layout.udc
     if link is None and "udc" in log.names:
@@ -142,7 +144,7 @@ def _gains_item(result: Result, learnt: Learnt) -> Item:
     name, std = "unequal gains of the phases", max(learnt.asymmetry_std)
     prior = result.adaptive.asymmetry_std
     if not prior or std > 0.5 * prior:
-        return _undetermined(name, "log some seconds of rotation under load")
+        return _undetermined(name, "record some seconds of rotation under load")
     size = float(np.hypot(*learnt.asymmetry))
     verdict = judge(size, std, GAIN)
     return Item(
@@ -151,9 +153,9 @@ def _gains_item(result: Result, learnt: Learnt) -> Item:
 
 
 def lag_item(log: Log, machine: RotatingMachine, as_given: bool) -> Item:
-    """Return the item on the voltage lag, fitted with resistance, magnets and inverter.
+    """Return the item on the voltage lag; the fit includes resistance, magnets and inverter.
 
-    `as_given`: whether, among whole lags, the relation holds best with the given one.
+    `as_given` says whether the given lag is the whole lag with which the relation holds best.
     """
     free = ["R_s", "inverter", "lag"]
     if machine.magnets:
@@ -165,13 +167,13 @@ def lag_item(log: Log, machine: RotatingMachine, as_given: bool) -> Item:
         return Item("lag of the voltage", "cannot be told", str(error))
     lag = next((parameter for parameter in fit.parameters if parameter.name == "lag"), None)
     if lag is None or lag.std is None or not fit.after.converged:
-        words = "to determine it, log changes of speed or a true angle (--truth)"
+        words = "to determine this value, record changes of speed or a true angle (--truth)"
         return Item("lag of the voltage", "cannot be told", words)
     verdict = judge(lag.value, lag.std, LAG, given)
     words = f"read with --lag {given:g}"
     if verdict == "look at it" and as_given:
         words = (
-            f"a fit gives {lag.value:.2f}, but among whole lags the relation holds best with "
+            f"a fit gives {lag.value:.2f}, but the best whole lag is "
             f"{given:g}: the log is too short or too uniform to decide"
         )
         return Item("lag of the voltage", "cannot be told", words)
@@ -207,7 +209,7 @@ def truth_items(result: Result) -> list[Item]:
                 Item("estimated over given speed", verdict, "", parameter.value, parameter.std, "")
             )
         elif parameter.name == "delay":
-            words = "positive: the encoder is late"
+            words = "a positive delay means that the encoder is late"
             scale = 1e6
             limit = 0.5 * result.log.sample_time
             verdict = (
@@ -230,7 +232,7 @@ def truth_items(result: Result) -> list[Item]:
             is_zero = parameter.name == "zero"
             verdict = "fine" if is_zero else judge(parameter.value, parameter.std, ECCENTRIC)
             verdict = verdict if is_zero or fit.lost is None else "cannot be told"
-            words = "electrical, to add to the channel" if is_zero else "of the shaft"
+            words = "electrical; add this angle to the channel" if is_zero else "of the shaft"
             label = {
                 "zero": "encoder zero",
                 "eccentricity 1": "eccentricity, once a turn",

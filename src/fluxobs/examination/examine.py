@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Examination(Check):
-    """Result of :func:`fluxobs.check`: the mistakes and, on request, an examination of the drive.
+    """Result of :func:`fluxobs.check`: the mistakes; on request, an examination of the drive.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Examination(Check):
 
     @cached_property
     def items(self) -> tuple[Item, ...]:
-        """The examination: items with value, standard deviation and verdict; takes seconds."""
+        """Items of the examination with value, standard deviation and verdict; takes seconds."""
         assert self.log is not None
         assert self.machine is not None
         log = replace(self.log, last=min(self.log.last, self.log.first + ROWS))
@@ -110,7 +110,7 @@ class Examination(Check):
         Raises
         ------
         FluxobsError
-            The file exists and `force` is not given, or it cannot be written.
+            The file exists and `force` is false, or the file cannot be written.
         """
         from ..core.html import document
         from ..core.plots import HTML, REPORTS, write
@@ -137,25 +137,25 @@ def check(
     progress: Callable[[int, int], Any] | None = None,
     **layout: Any,
 ) -> Examination:
-    """Test a log for the usual mistakes, on segments of it.
+    """Test segments of a log for the usual mistakes.
 
-    The columns are checked first: duplicates, raw counts, an angle in degrees, spikes. Then follow
-    the sign of the current, the phase order, the lag, the frame, and scales of the log or of the
-    machine file; with a true angle, also its zero, its direction, and n_p.
+    The columns are checked first: duplicates, raw counts, an angle in degrees, spikes. Then the
+    sign of the current, the phase order, the lag, the frame, and scales of the log or of the
+    machine file are checked; with a true angle, also the angle's zero and direction, and n_p.
 
-    ``.items`` of the result examines the drive: sensors, resistance and winding temperature,
-    magnets, inverter, lag, encoder, sampling, each with a verdict.
+    ``.items`` of the result are the examination of the drive: sensors, resistance and winding
+    temperature, magnets, inverter, lag, encoder, sampling, each with a verdict.
 
     Parameters
     ----------
     log : path, Log, Record, mapping of str to array, or (voltage, current)
         See :func:`fluxobs.read_log`.
     machine : Machine, or a path, or the name of a shipped machine
-        It must be a rotating machine.
+        The machine must be a rotating one.
     cold_resistance : float, optional
-        Phase resistance at 20 °C [Ω], for the winding temperature; default R_s of the machine.
+        Phase resistance at 20 °C [Ω], for the winding temperature. Default: R_s of the machine.
     progress : callable, optional
-        Called with the number of fits done and the number of fits known so far.
+        Called with the number of finished fits and the number of fits that are planned so far.
     layout : optional
         As for :func:`fluxobs.read_log`.
 

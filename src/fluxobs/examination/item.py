@@ -17,9 +17,9 @@ class Item:
     ----------
     name : str
     verdict : str
-        "fine", "look at it", or "cannot be told": this log does not determine it.
+        "fine", "look at it", or "cannot be told" if this log does not determine the item.
     words : str
-        Remarks; for "cannot be told", the test that would determine it.
+        Remarks; for "cannot be told", the test that would determine the item.
     value, std : float, optional
         Value and standard deviation, in `unit`.
     unit : str
@@ -60,10 +60,10 @@ class Item:
 
 
 def judge(value: float, std: float, limit: float, expected: float = 0.0) -> Verdict:
-    """Return whether a value lies within `limit` of the expected one.
+    """Return whether a value lies within `limit` of the expected value.
 
-    "look at it": it exceeds the limit by more than two standard deviations. "cannot be told": its
-    standard deviation is too large to decide.
+    "look at it" means that the deviation exceeds the limit by more than two standard deviations,
+    "cannot be told" that the standard deviation is too large to decide.
     """
     deviation = abs(value - expected)
     if deviation - 2 * std > limit:

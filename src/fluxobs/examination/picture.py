@@ -16,7 +16,7 @@ COLOURS = {"fine": "#2a7f3f", "look at it": "#b3261e", "cannot be told": "#77777
 
 
 def figure(examination: Examination) -> Figure:
-    """Draw the mistakes and the items, one per line."""
+    """Draw the mistakes and the items, one on each line."""
     import matplotlib as mpl
 
     rows = [

@@ -15,10 +15,10 @@ from .item import Item, flag_if
 ROWS = 1_000_000
 #: This many consecutive equal extreme values mean that the converter is at its limit.
 CLIPPED = 4
-#: At rest, voltages and currents are below these shares of their 99th percentiles, for at least
-#: half of REST_ROWS rows in a row, and REST_ROWS rows in total.
+#: At rest, voltages and currents are below these shares of their 99th percentiles. Periods of rest
+#: last at least REST_ROWS / 2 consecutive rows each, and REST_ROWS rows in total.
 REST_VOLTAGE, REST_CURRENT, REST_ROWS = 0.01, 0.05, 100
-#: Largest normal offset over the rated current, and largest normal difference of gains.
+#: Largest normal offset, divided by the rated current; largest normal difference of gains.
 OFFSET, GAIN = 0.01, 0.01
 #: A resolution above this share of the rated current is coarse.
 COARSE = 0.01
@@ -102,10 +102,10 @@ def _resolution(values: Array) -> float:
 
 
 def check_offsets(channels: dict[str, Array], log: Log, rated: float) -> list[Item]:
-    """Return items on current offsets, from rows at rest and from the sum of three phases."""
+    """Return items on current offsets; they come from rows at rest and the sum of three phases."""
     names = [name for name in CURRENTS[log.current_frame] if name in channels]
     if log.current_frame == "dq":
-        return [_undetermined_offsets("currents are in rotor coordinates; log phase currents")]
+        return [_undetermined_offsets("currents are in rotor coordinates; record phase currents")]
     current = np.stack([channels[name] for name in names])
     rest = _find_rest(channels, log, current)
     items = []
@@ -120,7 +120,7 @@ def check_offsets(channels: dict[str, Array], log: Log, rated: float) -> list[It
             items.append(Item(f"offset of {name}", verdict, words, mean, std, "A"))
     else:
         items.append(
-            _undetermined_offsets("log half a second with the bridge off, or at zero voltage")
+            _undetermined_offsets("record half a second with the bridge off, or at zero voltage")
         )
     if len(names) == 3 and tuple(names) == PHASE_CURRENTS:
         items += _check_sum(current, rated)
@@ -153,7 +153,7 @@ def _find_rest(channels: dict[str, Array], log: Log, current: Array) -> NDArray[
 
 
 def _check_sum(current: Array, rated: float) -> list[Item]:
-    """Return items on the sum of the phase currents: its constant is offsets, the rest gains.
+    """Return items on the sum of the phase currents: its constant gives offsets, the rest gains.
 
     With gains g, the sum is (1 - g_c/g_a) i_a + (1 - g_c/g_b) i_b of the measured currents.
     """
@@ -161,7 +161,7 @@ def _check_sum(current: Array, rated: float) -> list[Item]:
     if finite.shape[1] < 100:
         return []
     total = finite.sum(axis=0)
-    # Two phases suffice: the third is minus their sum.
+    # Two phases suffice: the third current is minus the sum of both.
     A = np.stack([finite[0], finite[1], np.ones(finite.shape[1])], axis=1)
     coefficients = np.linalg.lstsq(A, total, rcond=None)[0]
     residual = total - A @ coefficients

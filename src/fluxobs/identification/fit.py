@@ -1,12 +1,13 @@
 """Nonlinear least squares over a whole log: parameters from the machine's relation.
 
-The flux of a segment is λ = λ₀ + ∫ (u - R i - V_d S(i)) dt + θ t with its own λ₀ and drift θ. It is
-linear in all of these. The residual of a machine with a magnet or saliency is
+The flux of a segment is λ = λ₀ + ∫ (u - R i - V_d S(i)) dt + θ t. Each segment has its own λ₀ and
+drift θ. The flux is linear in λ₀, θ, R and V_d. The residual of a machine with a magnet or saliency
+is
 
     r = |x| - ψ - (L_d - L_q) (x·i) / |x|,        x = λ - L_q i
 
-(docs/theory.md, section 13). The method is Gauss-Newton with Huber's weights. A QR decomposition of
-each segment eliminates its λ₀ and θ, so the work grows only with the number of rows.
+(docs/theory.md, section 13). The method is Gauss-Newton with Huber's weights. A QR decomposition
+eliminates λ₀ and θ of each segment, so the effort is proportional to the number of rows.
 """
 
 from __future__ import annotations
@@ -26,23 +27,23 @@ from .relations import SATURATION, Linearisation, ResidualFunction, linear
 from .segments import Segment
 
 ITERATIONS, HALVINGS = 60, 12
-#: The iteration ends at steps below this share of the uncertainty.
+#: The iteration ends when a step is below this share of the uncertainty.
 CONVERGED = 1e-4
-#: It also ends at a gain below this share of the cost: the derivatives neglect terms of the size of
-#: the residual, so further steps do not help.
+#: The iteration also ends when a step lowers the cost by less than this share: the derivatives
+#: neglect terms as large as the residual, so further steps do not help.
 NO_GAIN = 1e-7
-#: If no step lowers the cost, the fit counts as converged if the step is below this share: the
-#: derivatives of a cage neglect that the angle changes i_d.
+#: If no step lowers the cost, the fit counts as converged if the step is below this share. Reason:
+#: the derivatives of a cage neglect that the angle changes i_d.
 NEARLY = 0.1
-#: Number of rows that count as one measurement against a prior, since their errors repeat: about an
-#: eighth of a turn.
+#: Number of rows, about an eighth of a turn, that count as one measurement against a prior. Reason:
+#: their errors repeat.
 REPEATED = 20.0
-#: Within this distance of a whole lag, the derivative is a mean of both sides [samples].
+#: Within this distance of a whole lag, the derivatives of both sides are averaged [samples].
 NEAR_WHOLE = 0.05
-#: Nuisance parameters of the inverter: the hardness of its sign (shares of harder knees), and the
-#: current offsets [A], which shift it. They are fitted with a prior but not reported.
+#: Nuisance parameters of the inverter: shares of harder knees, which sharpen its sign function, and
+#: current offsets [A], which shift it. The fit uses priors for them but does not report them.
 UNCERTAIN = ("knee 1", "knee 2", "offset_alpha", "offset_beta")
-#: Number of blocks of a log whose sums of residuals are assumed independent.
+#: Number of blocks of a log; the blocks' sums of residuals are assumed independent.
 BLOCKS = 24
 
 
@@ -56,17 +57,17 @@ class ParameterFit:
         All parameters, free and held.
     free : tuple of str
     covariance : (free, free) array
-        For each parameter, the larger of two estimates: from the coloured residuals, and from the
-        scatter over blocks of the log; plus the effect of the held parameters.
+        For each parameter, the larger of two estimates (from the coloured residuals, and from the
+        scatter over blocks of the log), plus the effect of the held parameters.
     own_covariance : (free, free) array
-        The same without the effect of the held parameters.
+        Covariance without the effect of the held parameters.
     alike : (free,) array
-        How well the others, except UNCERTAIN, can imitate each parameter: the factor by which its
-        variance exceeds the variance with the others known.
+        How well the other parameters, except UNCERTAIN, can imitate each parameter: ratio of its
+        variance to the variance with the other parameters known.
     current : (rows,) complex array
-        Current in rotor coordinates, all segments [A].
+        Current of all segments in rotor coordinates [A].
     residuals : list of (rows,) array
-        r of each segment [Wb].
+        Residual r of each segment [Wb].
     local : list of ((2,) array, (2,) array)
         λ₀ [Wb] and θ [V] of each segment.
     converged : bool
@@ -102,7 +103,7 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("ij,ij->i", a, b))
 
 
-#: Turns (α, β) into α + j β.
+#: Converts (α, β) to α + j β.
 ALPHA_BETA = np.array([1, 1j])
 
 
@@ -114,7 +115,7 @@ def evaluate(
     free: Sequence[str],
     relation: ResidualFunction = linear,
 ) -> tuple[Array, Array, Array]:
-    """Return the residual (rows,) and its derivatives, by (λ₀, θ) and by the free parameters."""
+    """Return the residual (rows,), derivatives by (λ₀, θ), and derivatives by `free`."""
     linearised, lag_slope = _linearise(segment, values, start, drift, relation)
     to_flux = np.stack([linearised.to_flux.real, linearised.to_flux.imag], axis=1)
     to_start = to_flux
@@ -147,7 +148,7 @@ def _linearise(
     drift: Array,
     relation: ResidualFunction,
 ) -> tuple[Linearisation, Array]:
-    """Linearise the relation for a segment; return also the derivative of its flux by the lag."""
+    """Linearise the relation for a segment; return also the derivative of the flux by the lag."""
     i, lag = segment.current, values["lag"]
     if len(segment.voltage) == 1:
         u, lag_slope = segment.voltage[0], np.zeros_like(i)
@@ -161,10 +162,10 @@ def _linearise(
 
 
 def _voltage_at_lag(voltage: Array, lag: float) -> tuple[Array, Array]:
-    """Return ∫ u dt at a lag, counted from the first one, and its derivative by the lag.
+    """Return ∫ u dt at a lag, which counts from the first lag, and the derivative by the lag.
 
-    The integral is linear between whole lags, so its derivative jumps at a whole lag. Close to one,
-    the derivatives of both sides are mixed.
+    The integral is linear between whole lags, so its derivative jumps at a whole lag. Close to a
+    whole lag, the derivative is therefore a weighted mean of both sides.
     """
     last = len(voltage) - 1
     lower = int(np.clip(np.floor(lag), 0, last - 1))
@@ -185,7 +186,7 @@ def _nuisance_changes(segment: Segment) -> dict[str, Array]:
 
 
 def _inverter_loss(segment: Segment, values: Mapping[str, float]) -> Array:
-    """Return ∫ of the inverter's loss over V_d, with its knee and the current offsets [s]."""
+    """Return ∫ of the inverter's loss divided by V_d, with knee and current offsets [s]."""
     loss = segment.inverter
     for name, change in _nuisance_changes(segment).items():
         if values.get(name):
@@ -235,7 +236,7 @@ def fit(
     prior: Mapping[str, tuple[float, float]] | None = None,
     model_error: float = 0.0,
 ) -> ParameterFit:
-    """Find the best parameters, from a start that is right within a factor of two or so.
+    """Find the best parameters; the initial values must be right within a factor of about two.
 
     Parameters
     ----------
@@ -243,19 +244,19 @@ def fit(
     start : mapping
         R_s, L_d, L_q (and L_s), psi_f, inverter, lag.
     free : sequence of str
-        Parameters to fit; if empty, only λ₀ and θ of the segments are fitted.
+        Parameters to fit. Without any, only λ₀ and θ of the segments are fitted.
     local : sequence of ((2,) array, (2,) array), optional
-        Initial λ₀ and θ; default: the observer's.
+        Initial λ₀ and θ; default: those from the observer.
     held : mapping of str to float, optional
-        Standard deviations of parameters. The covariance contains the effect of those that are not
-        free.
+        Standard deviations of parameters. The covariance contains the effect of parameters that are
+        not free.
     relation : ResidualFunction
         Default: constant inductances.
     prior : mapping of str to (float, float), optional
         Prior mean and standard deviation of free parameters.
     model_error : float
-        Standard deviation of an error of the relation that is constant within a block of the log
-        [Wb]; it enters only the covariance.
+        Standard deviation of the relation's error [Wb]. This error is constant within a block of
+        the log and affects only the covariance.
     """
     prior_rows = _make_prior_rows(prior or {}, free)
     values, names = dict(start), tuple(free)
@@ -347,10 +348,10 @@ def fit(
 def _make_prior_rows(
     prior: Mapping[str, tuple[float, float]], free: Sequence[str]
 ) -> Callable[[Mapping[str, float]], Array]:
-    """Return a function from values to rows (derivatives, residual) of the prior.
+    """Return a function that maps values to the prior's rows (derivatives, residual).
 
-    The rows are in standard deviations, times √REPEATED, since REPEATED rows of a log count as one
-    independent measurement.
+    The rows are divided by the standard deviation and multiplied by √REPEATED, since REPEATED rows
+    of a log count as one independent measurement.
     """
     names = [name for name in free if name in prior]
     columns = [tuple(free).index(name) for name in names]
@@ -367,7 +368,7 @@ def _make_prior_rows(
 
 
 def _imitability(H: Array, among: Sequence[bool]) -> Array:
-    """Return for each parameter in `among` how well the others of them can imitate it."""
+    """Return how well the other parameters in `among` can imitate each parameter."""
     indices = np.flatnonzero(among)
     size = np.sqrt(np.diag(H))[indices] + 1e-300
     factors = np.ones(len(H))
@@ -395,9 +396,9 @@ def _uncertainty(
     prior_derivatives: Array,
     model_error: float,
 ) -> tuple[Array, Array, Array, list[Array]]:
-    """Return two covariances of the free parameters, their likeness, and the residuals.
+    """Return two covariances of the free parameters, their `alike` factors, and the residuals.
 
-    The first covariance includes the effect of the held parameters, the second does not.
+    Only the first covariance includes the effect of the held parameters.
     """
     considered = [name for name in held if name not in names]
     parameters = [*names, *considered]

@@ -1,4 +1,4 @@
-"""Result of an identification, with all that its report needs."""
+"""Result of an identification, with everything that the report needs."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ UNITS = {"R_s": "Ω", "R_R": "Ω", "L_s": "H", "L_d": "H", "L_q": "H", "L_M": "H
 UNITS |= {"inverter": "V"}
 ADVICE = (
     "Record a log with steps of load at several speeds, a run-up from standstill, or both "
-    "directions: the resistance acts with the current, the inverter with its sign, the magnet with "
-    "the speed, and a lag with both"
+    "directions: the effect of the resistance depends on the current, that of the inverter on the "
+    "current's sign, that of the magnet on the speed, and that of a lag on current and speed"
 )
 
 
@@ -32,7 +32,7 @@ class Parameter:
 
 
 def in_the_file(parameters: Iterable[Parameter]) -> dict[str, tuple[float, float]]:
-    """Return name in the machine file → value and standard deviation, of fitted parameters."""
+    """Return the fitted parameters: name in the machine file → (value, standard deviation)."""
     return {
         "inverter_voltage" if p.name == "inverter" else p.name: (p.value, p.std)
         for p in parameters
@@ -47,15 +47,15 @@ class FittedParameters:
     Attributes
     ----------
     machine : RotatingMachine
-        With the identified values; the others as given.
+        The machine with the identified values; all other values are as given.
     parameters : list of Parameter
-        All that `--free` names, in its order.
+        All parameters that `--free` names, in the same order.
     untold : dict
-        Name → why this log cannot identify it.
+        Parameter name → why this log cannot identify this parameter.
     lag : float
-        Voltage lag that fits best [samples]; as given unless free.
+        Voltage lag that fits best [samples]; if not free, the given lag.
     before, after : ParameterFit
-        The fit with the given values, in which only the magnet flux is free, and the final fit.
+        The fit with the given values, where only the magnet flux is free, and the final fit.
     inverter_current : float
         Current at which the inverter's sign is smoothed [A].
     pieces : list of Segment
@@ -65,7 +65,7 @@ class FittedParameters:
     source : str
         Name of the log.
     map : FoundMap, optional
-        The flux map, if it was free.
+        The flux map; None if the map was not free.
     """
 
     machine: RotatingMachine
@@ -100,5 +100,5 @@ class FittedParameters:
 
     @property
     def found(self) -> dict[str, tuple[float, float]]:
-        """Name in the machine file → value and standard deviation, of identified parameters."""
+        """Identified parameters: name in the machine file → (value, standard deviation)."""
         return in_the_file(self.parameters)

@@ -1,4 +1,4 @@
-"""Identification of a machine's parameters, and of those that the logs cannot identify."""
+"""Identify a machine's parameters, and report which parameters the logs cannot identify."""
 
 from __future__ import annotations
 
@@ -47,53 +47,53 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-#: A parameter is not identifiable if the others imitate it this well (factor on its variance):
-#: model errors would decide its value.
+#: A parameter is not identifiable if similar effects of the other parameters increase its variance
+#: by this factor: model errors would decide its value.
 ALIKE_LIMIT = 100.0
-#: Nor is it if its standard deviation exceeds this share of its value (of the log's voltage for the
-#: inverter).
+#: A parameter is also not identifiable if its standard deviation exceeds this share of its value
+#: (for the inverter, of the log's voltage).
 UNSURE = {"R_s": 0.15, "L_s": 0.2, "L_d": 0.2, "L_q": 0.2, "psi_f": 0.05, "inverter": 0.02}
 UNSURE |= {"R_R": 0.15, "L_M": 0.15}
 #: Largest standard deviation of an identifiable lag [samples].
 LAG_UNSURE = 0.25
-#: The same, including the effect of the held parameters [samples].
+#: Largest standard deviation of an identifiable lag with the effect of held parameters [samples].
 LAG_HELD = 1.0
-#: L_s and L_d act only through the current along the flux. They are not identifiable if that is
-#: below this share of the current (rms): model errors would decide their value.
+#: L_s and L_d act only through the current along the flux. Neither is identifiable if this
+#: component is below this share of the current (rms): model errors would decide their value.
 ALONG_LIMIT = 0.15
-#: Prior standard deviations of a map, as shares of the inverse inductances: of these, and of what
-#: saturation adds to them.
+#: Prior standard deviations of a map, as shares of the inverse inductances: of the inverse
+#: inductances, and of their increase by saturation.
 UNSURE_SLOPE, SATURATES = 0.5, 3.0
 #: Model error as a share of the flux, independent in each block of the fit. Without a position, a
-#: log determines the symmetry of the map only weakly and amplifies such errors some twentyfold.
+#: log determines the symmetry of the map only weakly and amplifies model errors about twentyfold.
 #: With this value, a machine that differs from the model by 0.2 % is within three standard
 #: deviations (benchmarks/maps.py).
 MODEL_ERROR = 0.0003
 #: Length of a segment for a map [s]. The drift must be constant for this time: five parameters of
 #: saturation can imitate a changing drift.
 MAP_SECONDS = 2.0
-#: Prior of the shares of the harder knees: mean and standard deviation.
+#: Prior mean and standard deviation of the shares of the harder knees.
 KNEE = (0.0, 1.0)
 #: The curve of an inverter's loss differs from the model. The considered parameter "curve" has this
-#: standard deviation: a share of i (1 - |i| / I) / I, as in the adaptive observer (docs/theory.md,
-#: section 13).
+#: standard deviation, as a share of i (1 - |i| / I) / I, like in the adaptive observer
+#: (docs/theory.md, section 13).
 CURVE_SHARE = 0.15
-#: Largest number of segments of several logs that are fitted together, and smallest number of each
-#: log. The fit then takes some ten seconds and 150 megabytes.
+#: Largest number of segments in a common fit of several logs, and smallest number of segments per
+#: log. With the largest number, the fit needs about ten seconds and 150 megabytes.
 POOLED, LEAST_EACH = 200, 2
-#: Order in which parameters are held if their effects cannot be separated.
+#: Parameters whose effects cannot be separated are held in this order.
 HELD_FIRST = ("lag", "L_d", "L_q", "L_s", "L_M", "R_R", "inverter", "R_s", "psi_f")
-#: Parameters of a cage, which only changes of its flux identify, and the length of a segment for
-#: them [s]: some time constants of the rotor.
+#: Parameters of a cage that only changes of its flux identify, and length of a segment for their
+#: fit [s]: a few time constants of the rotor.
 ROTOR, ROTOR_SECONDS = ("R_R", "L_M"), 1.0
-#: A flux that changes by less than this share identifies neither: noise and offsets change it as
-#: much.
+#: A flux that changes by less than this share does not identify R_R and L_M: noise and offsets
+#: change the flux as much.
 FLUX_CHANGES = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class Identification(FittedParameters):
-    """Result of :func:`identify`; its attributes are those of :class:`FittedParameters`."""
+    """Result of :func:`identify`; it has the attributes of :class:`FittedParameters`."""
 
     def lines(self) -> list[str]:
         """Return one parameter per line, then unidentified parameters, then the residual."""
@@ -109,12 +109,12 @@ class Identification(FittedParameters):
         Raises
         ------
         FluxobsError
-            The ending is not supported, the file exists, or it cannot be written.
+            The ending is not supported, the file exists, or the file cannot be written.
         """
         write(self, Path(path), force)
 
     def _repr_html_(self) -> str:
-        """Return parameters, unidentified ones and the picture as HTML, for a notebook."""
+        """Return parameters, unidentified parameters and the picture as HTML, for a notebook."""
         return html_of(self)
 
     def __str__(self) -> str:
@@ -135,24 +135,24 @@ def free_names(machine: RotatingMachine) -> tuple[str, ...]:
 
 
 def _table(machine: RotatingMachine) -> TableMap | None:
-    """Return the flux map of the machine file, None if it has none."""
+    """Return the flux map of the machine file; None without a map."""
     fit = machine.saturation
     return None if fit is None else fit.table
 
 
-#: Name in `free` → name that the fit uses for all kinds.
+#: Name in `free` → name that the fit uses for all kinds of machines.
 INTERNAL = {"L_sigma": "L_s", "psi_R": "psi_f"}
 
 
 def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tuple[str, ...]:
     """Return the names in ``"R_s,psi_f,inverter"`` or a sequence.
 
-    The default is R_s, psi_f and inverter, as far as the machine has them.
+    The default is R_s, psi_f and inverter, if the machine has these parameters.
 
     Raises
     ------
     FluxobsError
-        This kind of machine does not have such a parameter; the message names the nearest one.
+        This kind of machine has no such parameter; the message names the most similar parameter.
     """
     possible = free_names(machine)
     if free is None:
@@ -164,8 +164,8 @@ def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tup
         raise FluxobsError(f"free: {MAP} already contains the inductances; leave them out")
     if "psi_R" in names and any(name in ROTOR for name in names):
         raise FluxobsError(
-            "free: give either psi_R, or R_R and L_M: psi_R needs a constant rotor flux, the "
-            "others a changing one"
+            "free: give either psi_R, or R_R and L_M: psi_R needs a constant rotor flux, R_R and "
+            "L_M need a changing rotor flux"
         )
     for name in names:
         if name not in possible:
@@ -193,15 +193,15 @@ def identify(
     log : path, Log, Record, mapping of str to array, or (voltage, current)
         See :func:`fluxobs.read_log`.
     machine : Machine, or a path, or the name of a shipped machine
-        A rotating machine, with values right to within a factor of about two.
+        A rotating machine; its values must be right within a factor of about two.
     free : str or sequence of str, optional
-        Some of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, L_M, inverter, lag;
-        default: R_s, psi_f, inverter, if the machine has them. R_R and L_M of a cage need a log in
-        which its flux changes; R_R can also be found from the slip, if the log has the speed.
-        "map": saturation, the parameters of :class:`AlgebraicSaturation`; the log must vary i_d and
-        i_q.
+        Any of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, L_M, inverter, lag;
+        default: R_s, psi_f and inverter, if the machine has these parameters. R_R and L_M of a cage
+        need a log in which the rotor flux changes; R_R can also be found from the slip if the log
+        has the speed. "map" means the saturation parameters of :class:`AlgebraicSaturation`; the
+        log must vary i_d and i_q.
     layout : optional
-        As for :func:`fluxobs.read_log`. Only one truth is used: speed_mech, of a cage [rad/s].
+        As for :func:`fluxobs.read_log`. The only truth in use is the speed_mech of a cage [rad/s].
 
     Raises
     ------
@@ -214,7 +214,7 @@ def identify(
 
 
 def identify_log(log: Log, machine: RotatingMachine, free: Sequence[str]) -> Identification:
-    """Identify from an open log, with checked names of free parameters."""
+    """Identify from an open log; the names of free parameters are already checked."""
     return identify_logs([log], machine, free)
 
 
@@ -226,8 +226,8 @@ def identify_logs(
     Raises
     ------
     FluxobsError
-        Their lags differ, one of them has no usable segment, or together they identify none of the
-        free parameters.
+        The lags of the logs differ, a log has no usable segment, or the logs together identify none
+        of the free parameters.
     """
     log = logs[0]
     if len({log.layout.lag for log in logs}) > 1:
@@ -431,7 +431,7 @@ def _report_parameters(
 
 
 def _expand_free(free: Sequence[str], machine: RotatingMachine) -> tuple[str, ...]:
-    """Return the names as the fit uses them."""
+    """Return the names that the fit uses."""
     names = [INTERNAL.get(name, name) for name in free if name != MAP]
     if MAP in free:
         names += SATURATION
@@ -446,7 +446,7 @@ def _relation(machine: RotatingMachine) -> ResidualFunction:
 
 
 def _first_model(machine: RotatingMachine, given: Mapping[str, float]) -> AlgebraicSaturation:
-    """Return the initial map: the file's model, or its inductances without saturation."""
+    """Return the initial map: the file's model, or the file's inductances without saturation."""
     assert isinstance(machine, SynchronousMachine)
     if isinstance(machine.flux_map, AlgebraicSaturation):
         return machine.flux_map
@@ -460,8 +460,8 @@ def _saturation_prior(
 ) -> dict[str, tuple[float, float]]:
     """Return prior means and standard deviations of the map.
 
-    The inverse inductances have a standard deviation of half their value. One standard deviation of
-    saturation makes the current four times larger at the flux of the log.
+    The standard deviation of an inverse inductance is half its value. Saturation of one standard
+    deviation makes the current four times larger at the flux of the log.
     """
     psi = _typical_flux(data)
     a_d, a_q = SATURATES * model.a_d0, SATURATES * model.a_q0
@@ -483,7 +483,7 @@ def _typical_flux(data: Sequence[Segment]) -> float:
 def _replace_map(
     machine: RotatingMachine, model: AlgebraicSaturation, scales: Scales
 ) -> RotatingMachine:
-    """Return the machine with an identified map, which replaces its inductances."""
+    """Return the machine with an identified map instead of its inductances."""
     rounded = {name: float(f"{value:.6g}") for name, value in model.model_dump().items()}
     values: dict[str, Any] = dict.fromkeys(machine.inductance_names)
     if machine.magnets:
@@ -495,7 +495,7 @@ def _replace_map(
 
 
 def starting_values(machine: RotatingMachine, data: Sequence[Segment]) -> dict[str, float]:
-    """Return the initial values; a missing magnet flux comes from the length of λ - L i."""
+    """Return the initial values; a missing magnet flux is set to the length of λ - L i."""
     L_d, L_q = machine.L_dq
     values = {
         "R_s": machine.R_s,
@@ -515,7 +515,7 @@ def starting_values(machine: RotatingMachine, data: Sequence[Segment]) -> dict[s
 
 
 def _held_stds(machine: RotatingMachine, scales: Scales) -> dict[str, float]:
-    """Return standard deviations of held parameters, as in the adaptive observer."""
+    """Return the adaptive observer's standard deviations for the held parameters."""
     rated = machine.rated_current or scales.current
     link = float(np.sqrt(3) * scales.voltage)  # lower bound of the DC link
     stds = list(machine.inductance_stds(INDUCTANCE_SHARE).values())
@@ -535,7 +535,7 @@ def _fit_best_lag(
     relation: ResidualFunction,
     prior: Mapping[str, tuple[float, float]],
 ) -> ParameterFit:
-    """Return the fit at the best integer lag, since a step from far away would leave the range."""
+    """Return the fit at the best integer lag: a start far from it would leave the range."""
     names = [name for name in free if name != "lag"]
     fits = [
         fit(data, given | {"lag": float(lag)}, names, relation=relation, prior=prior)
@@ -547,7 +547,7 @@ def _fit_best_lag(
 def _merge_values(
     given: dict[str, float], fitted: ParameterFit, names: Sequence[str]
 ) -> dict[str, float]:
-    """Return fitted values of the free parameters, given values of the others."""
+    """Return fitted values of the free parameters and given values of all other parameters."""
     values = given | {name: fitted.values[name] for name in names}
     if "L_s" in names:
         values["L_d"] = values["L_q"] = values["L_s"]
@@ -555,7 +555,7 @@ def _merge_values(
 
 
 def _equivalent_knee(fitted: ParameterFit) -> float:
-    """Return the knee, relative to the usual one, with the same loss as the fitted mixture."""
+    """Return the knee with the same loss as the fitted mixture, relative to the usual knee."""
     shares = [fitted.values[name] for name in UNCERTAIN[: len(HARDER)]]
     return float(np.clip(1 - np.dot(shares, 1 - np.array(HARDER)), min(HARDER), 3.0))
 
@@ -568,12 +568,14 @@ def _given_value(machine: RotatingMachine, name: str, lag: float) -> float | Non
 
 
 def _find_unseen_inductances(fitted: ParameterFit, data: Sequence[Segment]) -> dict[str, str]:
-    """Return L_s and L_d with a reason, if hardly any current flows along the flux."""
+    """Return L_s and L_d, each with the reason, if hardly any current flows along the flux."""
     current = np.concatenate([segment.current for segment in data])
     share = float(np.sqrt(np.mean(fitted.current.real**2) / np.mean(np.sum(current**2, axis=1))))
     if share >= ALONG_LIMIT:
         return {}
-    reason = f"it acts only through i_d, which is {share:.0%} of the current in this log"
+    reason = (
+        f"this inductance acts only through i_d, which is {share:.0%} of the current in this log"
+    )
     return {name: reason for name in ("L_s", "L_d") if name in fitted.free}
 
 
@@ -584,7 +586,7 @@ def _gather_segments(
     seconds: float,
     rotor: bool,
 ) -> tuple[list[Segment], Scales]:
-    """Return segments of all logs, evenly spread over each, and the largest of their scales."""
+    """Return segments that are evenly spread over each log, and the largest scales of the logs."""
     largest_number = max(POOLED // len(logs), LEAST_EACH)
     data: list[Segment] = []
     sizes = []
@@ -601,7 +603,7 @@ def _gather_segments(
 
 
 def _weighted_mean(values: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return the weighted mean of values with standard deviations, and its own."""
+    """Return the weighted mean of values with standard deviations, and the mean's deviation."""
     weights = [1 / std**2 for _, std in values]
     products = (weight * value for weight, (value, _) in zip(weights, values, strict=True))
     return sum(products) / sum(weights), sum(weights) ** -0.5
@@ -614,7 +616,7 @@ def _none_identified(where: str, free: Sequence[str], untold: Mapping[str, str])
 
 
 def _check_constant_flux(data: Sequence[Segment]) -> dict[str, str]:
-    """Return the parameters of a cage with a reason, if its flux hardly changes."""
+    """Return the cage's parameters, each with the reason, if its flux hardly changes."""
     spread = max(float(np.ptp(segment.lengths)) for segment in data)
     typical = float(np.median([segment.lengths.mean() for segment in data]))
     if spread > FLUX_CHANGES * typical:
@@ -624,7 +626,7 @@ def _check_constant_flux(data: Sequence[Segment]) -> dict[str, str]:
 
 
 def _find_doubts(fitted: ParameterFit, voltage: float) -> dict[str, str]:
-    """Return parameters that are not identifiable → why."""
+    """Return why parameters are not identifiable: name → reason."""
     doubts = {}
     mapped = SATURATION[0] in fitted.free
     for k, name in enumerate(fitted.free):
@@ -640,14 +642,14 @@ def _find_doubts(fitted: ParameterFit, voltage: float) -> dict[str, str]:
         ]
         if fitted.alike[k] > ALIKE_LIMIT:
             partner = max(others)[1] if others else "the others"
-            doubts[name] = f"in this log it has the same effect as {partner}"
-            if "lag" in fitted.free:  # the lag may cause the likeness
+            doubts[name] = f"cannot be distinguished from {partner} in this log"
+            if "lag" in fitted.free:  # the lag may cause the similarity
                 imitated = name if partner == "lag" else f"{name} and {partner} together"
-                doubts.setdefault("lag", f"in this log it has the same effect as {imitated}")
+                doubts.setdefault("lag", f"cannot be distinguished from {imitated} in this log")
         elif name == "lag":
             at_edge = not LAGS[0] + 0.01 < value < LAGS[-1] - 0.01
             if at_edge or std > LAG_UNSURE or fitted.std(name) > LAG_HELD:
                 doubts[name] = "all lags fit equally well"
         elif std > UNSURE[name] * (voltage if name == "inverter" else abs(value)):
-            doubts[name] = f"it is known only to ± {std:.2g} {UNITS[name]}"
+            doubts[name] = f"the standard deviation is too large: {std:.2g} {UNITS[name]}"
     return doubts

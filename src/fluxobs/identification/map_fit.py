@@ -1,4 +1,4 @@
-"""Flux map identified from a log: values, standard deviations, and the visited region."""
+"""Flux map identified from a log, with standard deviations and the visited region."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .relations import SATURATION, Saturating
 
 Complex = NDArray[np.complex128]
 
-#: Share of the rows excluded on each side of the visited region, so that single samples do not
-#: count as visits.
+#: Share of rows excluded on each side of the visited region, so that no single sample counts as a
+#: visit.
 LEFT_OUT = 0.002
 #: Points of the written grid in each direction.
 GRID = 21
@@ -32,9 +32,9 @@ class FoundMap:
     ----------
     model : AlgebraicSaturation
     names : tuple of str
-        Its free parameters.
+        Free parameters of the model.
     covariance, own_covariance : (names, names) ndarray
-        With and without the uncertainty of the held parameters.
+        Covariance with, and without, the uncertainty of the held parameters.
     visited : (points,) complex ndarray
         Corners of the region of currents d + j q that the log has visited [A].
     """
@@ -50,9 +50,9 @@ class FoundMap:
         return self.model.flux(current)
 
     def flux_std(self, current: ArrayLike, *, own: bool = False) -> Complex:
-        """Return the standard deviations of psi_d + j of psi_q [Wb], (...).
+        """Return (standard deviation of psi_d) + j (standard deviation of psi_q) [Wb], (...).
 
-        With `own`, the held parameters are taken as exact.
+        With `own`, the held parameters are assumed to be exact.
         """
         covariance = self.own_covariance if own else self.covariance
         psi = self.flux(current)
@@ -77,14 +77,14 @@ class FoundMap:
         return np.asarray(np.sqrt(d) + 1j * np.sqrt(q))
 
     def inside(self, current: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether the log has visited these currents or their mirror images, (...)."""
+        """Return whether the log has visited each current or its mirror images, (...)."""
         from scipy.spatial import Delaunay, QhullError
 
         currents = np.asarray(current, complex)
         corners = np.stack([self.visited.real, self.visited.imag], -1)
         try:
             region = Delaunay(corners)
-        except QhullError:  # all corners on a line
+        except QhullError:  # all corners lie on a line
             return np.zeros(currents.shape, bool)
         images = [currents, currents.conj()]
         if not self.model.psi_f:
@@ -93,7 +93,7 @@ class FoundMap:
         return np.asarray(np.any([region.find_simplex(p) >= 0 for p in points], axis=0))
 
     def grid(self) -> Complex:
-        """Return the grid of a table, (d, q): the visited region's box and its mirror image."""
+        """Return the grid of a table, (d, q); it covers the visited region and its mirror image."""
         d, q = self.visited.real, np.abs(self.visited.imag).max()
         ends = (d.min(), d.max()) if self.model.psi_f else (-np.abs(d).max(), np.abs(d).max())
         return np.asarray(
@@ -101,7 +101,7 @@ class FoundMap:
         )
 
     def csv(self) -> str:
-        """Return the table as CSV: current, flux, its standard deviation, and whether visited."""
+        """Return the table as CSV: current, flux, the flux's standard deviation, and visited."""
         i = self.grid().ravel()
         psi, std, visited = self.flux(i), self.flux_std(i), self.inside(i)
         rows = ["i_d,i_q,psi_d,psi_q,psi_d_std,psi_q_std,visited"]
@@ -138,8 +138,9 @@ class FoundMap:
         )
         if total_std > HELD * own_std:
             sentences.append(
-                f"With the uncertainty of the held parameters, ± {total_std:.2g} Wb. If "
-                f"resistance and inverter are known better, set R_s_std and inverter_voltage_std"
+                f"With the uncertainty of the held parameters, the flux is known to ± "
+                f"{total_std:.2g} Wb. If resistance and inverter are known better, set R_s_std "
+                f"and inverter_voltage_std"
             )
         span_d, span_q, size_i = np.ptp(d), np.ptp(q), np.abs(i).max()
         for span, axis in ((span_d, "d"), (span_q, "q")):
@@ -153,7 +154,7 @@ class FoundMap:
 
 #: Mention the held parameters if they increase the standard deviation by more than this factor.
 HELD = 1.5
-#: A current that varies by less than this share of the largest does not identify saturation.
+#: A current that varies by less than this share of the largest current identifies no saturation.
 FLAT = 0.3
 
 

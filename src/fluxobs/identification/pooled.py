@@ -18,8 +18,8 @@ from ..machines import Machine, as_machine, rotating
 from ..machines.heat import COPPER, NEODYMIUM
 from .identify import Identification, identify, identify_logs, read_free
 
-#: A log disagrees if a parameter differs from the others' by this many standard deviations, and by
-#: this share: smaller differences do not matter in practice.
+#: A log disagrees if a parameter differs from that of the other logs by this many standard
+#: deviations and by this share: smaller differences do not matter in practice.
 DISAGREES, MATTERS = 4.0, 0.01
 
 
@@ -33,9 +33,9 @@ class LogFit:
     told : dict
         Name → value and standard deviation.
     failed : str
-        Why no parameter could be identified; empty if some were.
+        Why no parameter could be identified; empty if at least one parameter was.
     apart : dict
-        Name → difference from the other logs, and this in standard deviations; only of parameters
+        Name → (difference from the other logs, difference in standard deviations), of parameters
         that disagree.
     """
 
@@ -46,7 +46,7 @@ class LogFit:
 
     @property
     def words(self) -> str:
-        """How the log differs from the others, with a likely cause; or why it failed."""
+        """How the log differs from the other logs, and the likely cause; or why its fit failed."""
         if self.failed:
             return f"{self.log}: no parameter can be identified: {self.failed}"
         differences = []
@@ -91,11 +91,11 @@ class Pooled:
     Attributes
     ----------
     together : Identification
-        From segments of all usable logs.
+        Identification from segments of all usable logs.
     alone : tuple of LogFit
-        Each log on its own, in the given order.
+        Identification from each log alone, in the given order.
     twice : dict
-        Logs that were ignored → the log with the same content.
+        Ignored log → log with the same content.
     """
 
     together: Identification
@@ -133,7 +133,7 @@ class Pooled:
         }
 
     def lines(self) -> list[str]:
-        """Return the lines on the machine, then the logs that disagree or failed."""
+        """Return lines on the machine, then lines on the logs that disagree or failed."""
         lines = self.together.lines()
         failed = self.failed
         lines += [
@@ -164,18 +164,18 @@ def identify_many(
     Parameters
     ----------
     logs : sequence of paths
-        At least two with different content; copies count once.
+        At least two logs with different content; copies count once.
     machine, free, layout
         See :func:`fluxobs.identify`.
     workers, scheduler
-        For the fits of single logs; see :func:`fluxobs.core.engine.compute`.
+        How to compute the fits of single logs; see :func:`fluxobs.core.engine.compute`.
     progress : callable
-        Called with the number of fits done and of all fits.
+        Called with the number of finished fits and the number of all fits.
 
     Raises
     ------
     FluxobsError
-        There is only one log, no log is usable, or together they identify no parameter.
+        There is only one log, no log is usable, or the logs together identify no parameter.
     """
     rotating_machine = rotating(as_machine(machine), "identification")
     names = read_free(free, rotating_machine)
@@ -209,13 +209,13 @@ def identify_many(
 
 
 def find_copies(logs: Sequence[str | Path]) -> dict[str, str]:
-    """Return logs that have the same content as an earlier one → the earlier one."""
+    """Return copies: log → earlier log with the same content."""
     path_by_content: dict[str, str] = {}
     copies = {}
     for path in map(str, logs):
         try:
             content = hash_file(Path(path))
-        except FluxobsError:  # unreadable: its fit reports it
+        except FluxobsError:  # the fit of an unreadable log reports the error
             continue
         if content in path_by_content:
             copies[path] = path_by_content[content]
@@ -226,7 +226,7 @@ def find_copies(logs: Sequence[str | Path]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _FitLog:
-    """Function that fits one log; workers receive it as an object."""
+    """Function that fits one log, as an object that can be sent to workers."""
 
     machine: Machine
     free: tuple[str, ...]
@@ -242,15 +242,15 @@ class _FitLog:
 
 
 def _report_lost_worker(path: str) -> tuple[dict[str, tuple[float, float]], str]:
-    return {}, f"{path}: its worker died five times; use fewer workers"
+    return {}, f"{path}: the worker died five times on this log; use fewer workers"
 
 
 def _find_differences(
     path: str, told: Mapping[str, Mapping[str, tuple[float, float]]]
 ) -> dict[str, tuple[float, float]]:
-    """Return the parameters of a log that differ from the median of the others.
+    """Return the parameters of a log that differ from the median of the other logs.
 
-    The limit accounts for the scatter of the others; median and scatter are robust, so one more log
+    The limit includes the scatter of the other logs; median and scatter are robust, so a second log
     that disagrees does not shift them.
     """
     differences = {}

@@ -1,6 +1,6 @@
-"""Relations between flux and current as residuals of a log, with derivatives.
+"""Relations between flux and current: residuals over a log, with derivatives.
 
-A relation returns, for the rows of a segment, the residual and its derivatives by the flux and by
+For the rows of a segment, a relation returns the residual and its derivatives by the flux and by
 the parameters of the relation. The angle is eliminated (docs/theory.md, sections 13 and 14).
 """
 
@@ -19,7 +19,7 @@ from ..machines.model.flux_map import FluxMap
 
 Complex = NDArray[np.complex128]
 
-#: Iterations of the angle; convergence is nearly quadratic.
+#: Number of iterations of the angle; convergence is nearly quadratic.
 ROUNDS = 6
 #: Largest step of the angle in an iteration [rad].
 LARGEST = 0.3
@@ -42,7 +42,7 @@ class Linearisation:
     current : (rows,) complex ndarray
         i_d + j i_q [A].
     to_start : (rows,) complex ndarray, optional
-        Additional derivative by the flux of the first row.
+        Derivative by the flux of the first row, which adds to `to_flux`.
     """
 
     residual: Array
@@ -86,7 +86,8 @@ def linear(flux: Complex, current: Complex, values: Mapping[str, float]) -> Line
 class Mapped:
     """Flux map: ``|x| - a_d``, x = λ - e^{jφ}(F - a_d), with the auxiliary flux a.
 
-    A magnet flux that differs from the map's adds to F. `L_q` gives the initial angle.
+    If the magnet flux differs from that of the map, the difference adds to F. `L_q` gives the
+    initial angle.
     """
 
     flux_map: FluxMap
@@ -113,13 +114,13 @@ class Saturating:
     """Algebraic saturation model with free parameters.
 
     The residual is the component of ``i - e^{jφ} I(e^{-jφ} λ)`` perpendicular to its derivative by
-    φ, times L_q. `model` holds the exponents; `L_q` gives the initial angle.
+    φ, times L_q. `model` contains the exponents; `L_q` gives the initial angle.
     """
 
     model: AlgebraicSaturation
 
     def with_values(self, values: Mapping[str, float]) -> AlgebraicSaturation:
-        """Return the model with the parameters of a fit."""
+        """Return the model with a fit's parameters."""
         names = (*SATURATION, *(("psi_f",) if self.model.psi_f > 0 else ()))
         return AlgebraicSaturation.model_construct(
             **self.model.model_dump() | {name: values[name] for name in names}
@@ -131,7 +132,7 @@ class Saturating:
     ) -> tuple[tuple[Array, ...], Complex, Complex]:
         """Return slopes of the model, derivative by φ, and error of the current.
 
-        The derivative is that of ``e^{jφ} I(e^{-jφ} λ)``, j I - I'(j ψ). All are in rotor
+        The derivative of ``e^{jφ} I(e^{-jφ} λ)`` by φ is j I - I'(j ψ). All results are in rotor
         coordinates.
         """
         i, slopes = model.current(psi), model.slopes(psi)
@@ -154,7 +155,7 @@ class Saturating:
         psi = flux * direction.conj()
         (dd, dq, qq), g, current_error = self._linearise(model, psi, current * direction.conj())
         n = 1j * g / (np.abs(g) + 1e-300)
-        # One inductance converts all rows to flux: the noise of the currents is the same in all.
+        # One inductance converts all rows to flux, since all rows have the same current noise.
         normal = -n * values["L_q"]
         residual = (current_error * normal.conj()).real
         # The flux acts on the current component along n by n' I'.
@@ -216,7 +217,7 @@ class Cage:
 
     def _rotor_flux(self, i_d: Array, first: float, R_R: float, L_M: float) -> Array:
         """Integrate the rotor flux from its first value; i_d is linear between the rows."""
-        from scipy.signal import lfilter  # slow to import, needed only for a cage
+        from scipy.signal import lfilter  # the import is slow; only a cage needs it
 
         decay = float(np.exp(-R_R / L_M * self.sample_time))
         excitation = np.concatenate([[first], (1 - decay) * L_M * (i_d[1:] + i_d[:-1]) / 2])

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def lines(fit: FittedParameters) -> list[str]:
-    """Return one parameter per line, then unidentified parameters, then the residual."""
+    """Return lines: one for each parameter, then unidentified parameters, then the residual."""
     sentences = []
     for parameter in fit.parameters:
         given_text = "not given" if parameter.given is None else f"given {parameter.given:.4g}"
@@ -40,8 +40,8 @@ def lines(fit: FittedParameters) -> list[str]:
         sentences += fit.map.lines()
     if fit.untold:
         sentences.append(
-            f"This log cannot identify {', '.join(fit.untold)}: held at the given value, on "
-            f"which the others depend. {ADVICE}."
+            f"This log cannot identify {', '.join(fit.untold)}: held at the given value; the "
+            f"other values depend on it. {ADVICE}."
         )
     used = sum(len(piece) for piece in fit.pieces)
     if used < 0.99 * fit.rows:
@@ -111,7 +111,7 @@ def write(fit: FittedParameters, path: Path, force: bool) -> None:
 
 
 def html_of(fit: FittedParameters) -> str:
-    """Return the parameters, the unidentified ones, and the picture as HTML."""
+    """Return the parameters, the unidentified parameters, and the picture as HTML."""
     rows = [
         (
             parameter.name,
@@ -128,7 +128,7 @@ def html_of(fit: FittedParameters) -> str:
 
 
 def figure(fit: FittedParameters) -> Figure:
-    """Draw the residual over time, before and after the fit, and the map if there is one."""
+    """Draw the residual over time, before and after the fit, and the identified map if any."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -144,7 +144,7 @@ def figure(fit: FittedParameters) -> Figure:
 
 
 def _plot_map(along_d: Axes, along_q: Axes, flux_map: FoundMap) -> None:
-    """Plot flux over current of each axis, for three currents of the other axis, with ± 2σ."""
+    """Plot each axis's flux over its current, with ± 2σ, for three currents of the other axis."""
     d, q = flux_map.visited.real, flux_map.visited.imag
     grid = flux_map.grid()
     ends = (grid.real[0, 0], grid.real[-1, 0]), (grid.imag[0, 0], grid.imag[0, -1])

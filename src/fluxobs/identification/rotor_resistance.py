@@ -12,7 +12,7 @@ from ..observers.for_log import plain_for
 
 #: Number of blocks of rows whose scatter gives the standard deviation.
 BLOCKS = 24
-#: Rows are used if |i_q| exceeds this share of the rated current, or else of the largest.
+#: Rows are used if |i_q| exceeds this share of the rated (if unknown, the largest) current.
 LOADED = 0.1
 
 
@@ -20,12 +20,12 @@ def resistance_from_speed(log: Log, machine: RotatingMachine) -> tuple[float, fl
     """Return R_R and its standard deviation [Ω], from ``ω_x - n_p ω_m = R_R i_q/|x|``.
 
     The log's truth is the mechanical speed [rad/s]. The plain observer gives the speed and length
-    of the rotor flux x on its valid rows; a line through the origin is fitted to them.
+    of the rotor flux x; a line through the origin is fitted to the valid rows.
 
     Raises
     ------
     FluxobsError
-        The position is known on too few rows with a speed and a load.
+        Too few rows have a position, a speed and a load.
     """
     observer, scales = plain_for(log, machine)
     smallest_load = LOADED * (machine.rated_current or scales.current)
@@ -46,7 +46,7 @@ def resistance_from_speed(log: Log, machine: RotatingMachine) -> tuple[float, fl
     cross = np.array([block.sum() for block in np.array_split(slip * load, BLOCKS)])
     square = np.array([block.sum() for block in np.array_split(load**2, BLOCKS)])
     value = float(cross.sum() / square.sum())
-    # The scatter of the blocks about the line gives the standard deviation.
+    # The standard deviation follows from the scatter of the blocks about the line.
     deviation = cross - value * square
     std = float(np.sqrt(np.sum(deviation**2) * BLOCKS / (BLOCKS - 1)) / square.sum())
     return value, std

@@ -20,21 +20,22 @@ from ..observers import LeastSquaresObserver
 from ..observers.adaptive import OFFSET_SHARE
 from ..observers.for_log import plain_for
 
-#: A segment lasts this many turns, but at least this time [s] and this many rows. The drift is
-#: assumed constant within it.
+#: A segment lasts this many turns, but at least this time [s] and this many rows. The drift within
+#: a segment is assumed constant.
 TURNS, SECONDS, SHORTEST = 2.5, 0.4, 100
-#: A cage's flux is constant if it stays within this share of its typical length: a wrong R_s
-#: changes it by less, field weakening by more.
+#: A cage's flux is constant if its length stays within this share of the typical length: a wrong
+#: R_s changes the length by less, field weakening by more.
 SAME_FLUX = 0.08
-#: Harder knees of the inverter's sign, as shares of the usual one. All three together approximate
-#: any usual curve well enough for a right R_s and V_d (tests/identification/test_identify.py); with
-#: only the last one, V_d of the demo log was 7 % too large.
+#: Two harder knees of the inverter's sign, as shares of the usual knee. All three knees together
+#: approximate any usual curve well enough for a right R_s and V_d
+#: (tests/identification/test_identify.py); with only the last knee, V_d of the demo log was 7 % too
+#: large.
 HARDER = (0.45, 0.2)
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Segment without a gap; integrals start at its first row.
+    """Segment without a gap; its integrals start at the first row.
 
     Attributes
     ----------
@@ -43,17 +44,17 @@ class Segment:
     current : (rows, 2) array
         [A].
     voltage : (lags, rows, 2) array
-        ∫ u dt [Vs], for each of the lags.
+        ∫ u dt [Vs] for each lag.
     charge : (rows, 2) array
         ∫ i dt [As].
     inverter : (rows, 2) array
-        ∫ of the inverter's direction [s]; V_d times this is the loss.
+        ∫ of the inverter's direction [s]; V_d times this integral is the loss.
     harder : (2, rows, 2) array
         Change of `inverter` with harder knees [s].
     offset : (2, rows, 2) array
         Change of `inverter` per ampere of current offset in α, and in β [s/A].
     curve : (rows, 2) array
-        Change of `inverter` if the loss keeps growing with the current [s].
+        Change of `inverter` if the loss continues to grow with the current [s].
     start : (2,) array
         Flux at the first row, from the observer [Wb].
     drift : (2,) array
@@ -103,9 +104,9 @@ def cut_segments(
 ) -> tuple[list[Segment], Scales]:
     """Cut a log into segments at gaps and after `seconds` or TURNS, whichever is longer.
 
-    The initial flux of a segment comes from the observer, at its most certain row. Segments in
-    which the observer never knows the position are skipped; unless `moving`, also those in which
-    the flux of a cage changes.
+    The observer's most certain row gives the initial flux of a segment. Segments in which the
+    observer never knows the position are skipped. Segments in which the flux of a cage changes are
+    skipped unless `moving`.
 
     Raises
     ------
@@ -124,7 +125,7 @@ def cut_segments(
         if not segments:
             raise FluxobsError(
                 f"{log.table.path}: the rotor flux is never constant for {SECONDS:g} s; record a "
-                f"log in which it is"
+                f"log with constant rotor flux"
             )
     if not segments:
         raise FluxobsError(
@@ -135,7 +136,7 @@ def cut_segments(
 
 
 def _keep_constant_flux(segments: list[Segment]) -> list[Segment]:
-    """Return the segments in which the flux is constant at its typical length."""
+    """Return the segments in which the flux always has its typical length."""
     typical = float(np.median([segment.lengths.mean() for segment in segments]))
     return [
         segment
@@ -156,7 +157,7 @@ def cut_excerpt(
 ) -> list[Segment]:
     """Cut an excerpt of a log into segments.
 
-    `current` is (rows, 2), `voltage` (lags, rows, 2); the observer uses the lag of index
+    `current` has shape (rows, 2), `voltage` (lags, rows, 2); the observer uses the lag with index
     `given_lag`.
     """
     h, segments = observer.sample_time, []
@@ -183,7 +184,7 @@ def cut_excerpt(
 
 
 def _runs_of_rows(good: NDArray[np.bool_], rows: int) -> Iterator[slice]:
-    """Yield runs of good rows, about `rows` long, none shorter than SHORTEST."""
+    """Yield runs of about `rows` good rows; no run is shorter than SHORTEST."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     for first, last in edges.reshape(-1, 2):
         count = max(1, round((last - first) / rows))
@@ -218,7 +219,7 @@ def _integrate_signs(
 ) -> tuple[Array, Array, Array, Array]:
     """Return ∫ of the inverter's direction [s] and its changes.
 
-    The changes are those by harder knees, by current offsets, and by a loss that grows with the
+    Three causes change the integral: harder knees, current offsets, and a loss that grows with the
     current.
     """
 
@@ -231,7 +232,7 @@ def _integrate_signs(
 
     usual = direction(mean)
     harder_changes = [inverter_direction(mean, share * smoothing) - usual for share in HARDER]
-    # Difference over likely offsets: a knee may be narrower than the current's step in a sample.
+    # The difference spans likely offsets: a knee may be narrower than a sample's current step.
     offset_changes = [
         (direction(mean - step) - direction(mean + step)) / (2 * offset)
         for step in offset * np.eye(2)

@@ -36,8 +36,8 @@ def estimate(
 ) -> Result:
     """Estimate flux, position, speed and drift of a recorded log, with standard deviations.
 
-    With `out`, rows are streamed: neither log nor estimates need to fit into memory. The batch size
-    does not change the numbers. The file `out` appears only when it is complete.
+    With `out`, rows are streamed, so log and estimates need not fit into memory. The numbers do not
+    depend on the batch size. The file `out` appears only when it is complete.
 
     Parameters
     ----------
@@ -45,29 +45,29 @@ def estimate(
         See :func:`fluxobs.read_log`.
     machine : Machine, or a path, or the name of a machine that comes with fluxobs
     out : path, optional
-        Output file, .parquet or .csv. Without it, the estimates stay in memory.
+        Output file, .parquet or .csv. Without `out`, the estimates stay in memory.
     keep : bool
-        If false, discard estimates that are not written: for the summary alone.
+        If false, discard estimates that are not written; only the summary remains.
     force : bool
         Overwrite `out` if it exists.
     unknowns : "auto", or str or sequence of {"drift", "resistance", "inverter", "asymmetry", \
             "current-bias"}
         Constant or slow unknowns. With resistance, inverter or asymmetry, the adaptive observer
-        runs; with current-bias, the immersed observer in Python, 0.25 ms per row. "auto": all
-        unknowns of the adaptive observer if the log needs it, else drift.
+        runs; with current-bias, the immersed observer runs, in Python, at 0.25 ms per row. "auto"
+        means all unknowns of the adaptive observer if the log needs this observer, else only drift.
     causal : bool
         By default, the adaptive observer learns from the whole log, then estimates with the
-        learnt parameters. If true, it learns while it estimates, as it would in firmware.
+        learnt parameters. If true, the observer learns while it estimates, as in firmware.
     memory : float, optional
-        Memory of the least squares [s]; the default depends on the kind of machine.
+        Memory of the least squares [s]. The default depends on the kind of machine.
     priors : mapping of {"resistance", "inverter", "asymmetry", "psi_f"} to float, optional
-        Standard deviations of the machine file's values [Ω], [V], [1], [Wb]; default: those of
-        :meth:`AdaptiveObserver.for_machine`.
+        Standard deviations of the machine file's values [Ω], [V], [1], [Wb]. The defaults are those
+        of :meth:`AdaptiveObserver.for_machine`.
     progress : callable, optional
-        Called with the number of rows done and the number of all rows.
+        Called with the number of finished rows and the number of all rows.
     layout : optional
-        record, preset, frame, lag, columns, unit, truth, and more: as for
-        :func:`fluxobs.read_log`.
+        Arguments of :func:`fluxobs.read_log`: record, preset, frame, lag, columns, unit, truth, and
+        more.
 
     Returns
     -------

@@ -22,7 +22,7 @@ from .warnings import warnings
 
 @dataclass(frozen=True, eq=False)
 class ExplainedRun(LogRun):
-    """A run with its texts; attributes as for :class:`LogRun`."""
+    """A run with its texts; it has the attributes of :class:`LogRun`."""
 
     @cached_property
     def summary(self) -> str:
@@ -59,7 +59,7 @@ class ExplainedRun(LogRun):
 
     @property
     def firmware(self) -> str | None:
-        """Why this observer cannot be exported as firmware; None if it can, or if it has no C."""
+        """Why this observer cannot be exported; None if it can be exported or has no C code."""
         plain = self.plain
         if plain is None:
             return None
@@ -79,14 +79,14 @@ class ExplainedRun(LogRun):
         return None
 
     def export_command(self, machine: str) -> str | None:
-        """Return the command that exports this observer for the machine of that name."""
+        """Return the command that exports this observer for the machine named `machine`."""
         plain = self.plain
         if plain is None or self.firmware is not None:
             return None
         options = "" if self.adaptive is None else f" --unknowns {','.join(self.unknowns)}"
         priors = dict(self.priors)
         if self.adaptive is not None and self.adaptive.inverter_std > 0:
-            priors["inverter"] = self.adaptive.inverter_std  # the default depends on the log
+            priors["inverter"] = self.adaptive.inverter_std  # its default depends on the log
         options += "".join(f" --prior {name}={std!r}" for name, std in priors.items())
         return (
             f"fluxobs export --machine {shlex.quote(machine)}{options} "
@@ -97,7 +97,7 @@ class ExplainedRun(LogRun):
 
     @property
     def found(self) -> dict[str, tuple[float, float]]:
-        """Name in the machine file → (value, standard deviation) of each identified parameter."""
+        """Identified parameters: name in the machine file → (value, standard deviation)."""
         if self.adaptive is None or self.learnt is None:
             return {}
         names = {"magnet flux": "psi_f", "resistance": "R_s", "inverter": "inverter_voltage"}
@@ -109,7 +109,7 @@ class ExplainedRun(LogRun):
 
     @property
     def machine_learnt(self) -> Machine:
-        """The machine with the identified parameters, and standard deviations for the next log."""
+        """The machine with identified parameters and with standard deviations for the next log."""
         if self.adaptive is None or not self.found:
             return self.machine
         machine = with_found(self.rotor, self.found)

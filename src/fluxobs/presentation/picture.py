@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 #: Figures up to this width have short titles [inch].
 PRINTED = 8.0
-#: Approximate limit of the number of gaps that are marked.
+#: A picture marks at most about this many gaps.
 MARKS = 200
 RED = "#c0392b"
 GREY_LABEL = "        grey: position not valid"
@@ -35,13 +35,13 @@ PARAMETERS = {
 }
 
 
-#: Panels of every run; an adaptive run adds those of PARAMETERS.
+#: Panels of every run; a run of the adaptive observer adds the panels of PARAMETERS.
 PANELS = ("locus", "position", "error", "speed", "drift")
 
 
 @dataclass(frozen=True)
 class Paper:
-    """Width of a picture and height of its rows [inch], panels per row, changes of the style."""
+    """Format of a picture: width and height of a row [inch], panels per row, style changes."""
 
     width: float
     height: float
@@ -51,7 +51,7 @@ class Paper:
 
 _PRINT = {"font.size": 7, "axes.titlesize": 7, "lines.linewidth": 0.7}
 _PRINT |= {"axes.linewidth": 0.5, "xtick.major.width": 0.5, "ytick.major.width": 0.5}
-#: Widths are those of a two-column journal: 3.5 inch for a column, 7.16 inch for the page.
+#: The widths fit a two-column journal: 3.5 inches for a column, 7.16 inches for the page.
 STYLES = {
     "screen": Paper(11.0, 2.0, 1),
     "one column": Paper(3.5, 1.35, 1, _PRINT),
@@ -67,7 +67,7 @@ def figure(
 ) -> Figure:
     """Draw the picture of a run; the immersed observer has its own panels.
 
-    The position error is that against the truth corrected by `fit`. For `style` and `panels`, see
+    The position error refers to the truth as corrected by `fit`. For `style` and `panels`, see
     :meth:`Result.plot`.
     """
     import matplotlib as mpl
@@ -151,7 +151,7 @@ def _chosen(
         if name not in available:
             raise UsageError(f"panels: {name!r}{nearest(name, available)}")
     if not panels or len(set(panels)) < len(panels):
-        raise UsageError(f"panels: choose different ones of {', '.join(available)}")
+        raise UsageError(f"panels: choose one or more, each at most once: {', '.join(available)}")
     mosaic: Any = [
         list(panels[n : n + paper.per_row]) for n in range(0, len(panels), paper.per_row)
     ]
@@ -167,7 +167,7 @@ def _chosen(
 
 
 def _learnt(result: LogRun) -> dict[str, float]:
-    """Column → assumed value, for each parameter that the adaptive observer estimates."""
+    """Return the assumed value of each parameter of the adaptive observer, by column name."""
     adaptive = result.adaptive
     if adaptive is None:
         return {}
@@ -231,7 +231,7 @@ def _locus(axes: Axes, columns: dict[str, Array]) -> None:
 
 
 def _set_title(axes: Axes, text: str, short: str) -> None:
-    """Set the title, in print the short one, to leave room for the legend."""
+    """Set the title; printed pictures get the short title, to leave room for the legend."""
     figure: Any = axes.figure
     axes.set_title(text if figure.get_figwidth() > PRINTED else short)
 
@@ -256,7 +256,7 @@ def _position(axes: Axes, detail: dict[str, Array]) -> None:
 
 
 def _few_periods(detail: dict[str, Array], periods: float = 8.0) -> dict[str, Array]:
-    """Return the rows from shortly before the first valid one until a few turns later."""
+    """Return the rows from shortly before the first valid row to a few turns after it."""
     first_valid = int(np.argmax(detail["valid"] > 0))
     turned = np.abs(np.unwrap(detail["theta_e"][first_valid:]) - detail["theta_e"][first_valid])
     later = turned > periods * 2 * np.pi
@@ -333,7 +333,7 @@ def _parameter(axes: Axes, name: str, columns: dict[str, Array], assumed: float)
     """Plot the estimate with its ±2σ band, and the assumed value."""
     title, unit = PARAMETERS[name]
     value, std = columns[name].copy(), columns[f"{name}_std"]
-    not_adapting = columns["adapting"] == 0  # psi_f is the length of λ - L i there
+    not_adapting = columns["adapting"] == 0  # psi_f is then the length of λ - L i
     value[not_adapting] = np.nan
     axes.fill_between(
         columns["t"],

@@ -1,4 +1,4 @@
-"""Data for the pictures and sliders of a run, besides its columns."""
+"""Data that the pictures and sliders of a run need besides its columns."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..machines import Machine
 
 
 def shown_machine(machine: Machine) -> dict[str, Any]:
-    """Return the data of a machine that pictures need, for JSON."""
+    """Return a machine's data that pictures need, ready for JSON."""
     position = machine.position_output
     return {
         "ports": list(machine.ports),
@@ -23,7 +23,7 @@ def shown_machine(machine: Machine) -> dict[str, Any]:
 
 
 def shown(run: LogRun) -> dict[str, Any]:
-    """Return the data of a run that pictures and sliders need, for a report or the page."""
+    """Return a run's data that the pictures and sliders of a report or the page need."""
     machine, log = run.machine, run.log
     values = machine.parameters()
     return {

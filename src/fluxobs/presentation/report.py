@@ -1,4 +1,4 @@
-"""A report: one HTML file with the run, its pictures and, if small enough, the record."""
+"""A report is one HTML file with the run, its pictures and, if small enough, its record."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from ..page.columns import exact, flags, rounded
 from .plot_data import shown
 from .result import Result
 
-#: A report leaves out a longer encoded record [characters]. It then shows, but cannot recompute.
+#: Longest encoded record in a report [characters]. Without the record, a report cannot recompute.
 MAX_RECORD_SIZE = 8_000_000
-#: It also leaves out a record of more rows: recomputing would take more than a few seconds.
+#: Largest record in a report [rows]. To recompute more rows would take more than a few seconds.
 MAX_RECORD_ROWS = 1_000_000
 #: Columns of the estimates that no picture shows.
 NOT_SHOWN = (
@@ -40,13 +40,13 @@ def write_report(
     Parameters
     ----------
     result : Result
-        With its estimates in memory or in a file.
+        Its estimates are in memory or in a file.
     path : Path
         Ends in .html.
     command : str, optional
-        The command that produced the run, to be shown.
+        The command that produced the run; the report shows it.
     data : bool
-        Whether to include the record, with which a reader can recompute with other parameters.
+        Whether to include the record, so that a reader can recompute with other parameters.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def _machine_in(command: str | None) -> str:
 
 
 def _channel_rows(log: Log) -> list[list[str]]:
-    """Return a row per channel: channel, column, and the conversion between them."""
+    """Return rows (channel, column, conversion), one per channel."""
     rows = []
     for channel, column in log.names.items():
         scale, offset = log.conversions.get(channel, (1.0, 0.0))
@@ -154,7 +154,7 @@ def _record(result: LogRun) -> dict[str, Any] | None:
 
 
 def _columns(result: Result) -> dict[str, Any]:
-    """Return the estimates, rounded below their noise."""
+    """Return the estimates; their rounding is finer than their noise."""
     table = result.estimates
     columns: dict[str, Any] = {}
     for name in table.columns:

@@ -43,7 +43,10 @@ class Result(ExplainedRun):
 
     @property
     def estimates(self) -> pl.DataFrame:
-        """One row per sample, one column per output, in SI; read from `path` if written there."""
+        """Table in SI units with one row per sample and one column per output.
+
+        The table is read from `path` if the estimates were written there.
+        """
         if self.table is not None:
             return self.table
         if self.path is None:
@@ -52,7 +55,7 @@ class Result(ExplainedRun):
             )
         read = pl.read_parquet if self.path.suffix == ".parquet" else pl.read_csv
         try:
-            with self.path.open("rb") as file:  # Polars expands a name as a pattern
+            with self.path.open("rb") as file:  # Polars reads a name as a pattern
                 return read(file)
         except (OSError, pl.exceptions.PolarsError) as error:
             raise FluxobsError(f"{self.path}: the estimates cannot be read: {error}") from None
@@ -69,16 +72,17 @@ class Result(ExplainedRun):
         Parameters
         ----------
         style : {"screen", "one column", "two columns"}
-            For a paper: 3.5 or 7.16 inches wide, in 7 point, without a title.
+            The styles for a paper are 3.5 or 7.16 inches wide, in 7 point, without a title.
         panels : sequence of str, optional
-            Some of "locus" (flux and position vector), "position" (around the first valid row),
-            "error" (with ±2σ), "speed", "drift"; after learning also "resistance",
-            "inverter_voltage", "psi_f". Default: all on the screen, the first five in a paper.
+            A selection of "locus" (flux and position vector), "position" (around the first valid
+            row), "error" (with ±2σ), "speed", "drift"; after learning also "resistance",
+            "inverter_voltage", "psi_f". Default: all panels on the screen, the first five in a
+            paper.
 
         Raises
         ------
         UsageError
-            The style or panel does not exist, or the immersed observer ran, whose panels are fixed.
+            The style or panel does not exist, or the immersed observer ran: its panels are fixed.
         """
         from .picture import figure  # matplotlib is loaded only where it is needed
 
@@ -92,7 +96,7 @@ class Result(ExplainedRun):
         data: bool = True,
         command: str | None = None,
     ) -> None:
-        """Write the file that the ending of `path` asks for.
+        """Write results to `path`; its ending selects what is written.
 
         .parquet or .csv: the estimates; .png, .pdf or .svg: the picture; .html: a report that can
         recompute; .toml: the machine with the identified parameters.
@@ -103,9 +107,9 @@ class Result(ExplainedRun):
         force : bool
             Overwrite an existing .toml file.
         data : bool
-            Whether a report includes the record, if that is not too large.
+            Whether a report includes the record, unless the record is too large.
         command : str, optional
-            The command to be shown in a report.
+            The command that a report shows.
 
         Raises
         ------

@@ -23,7 +23,7 @@ def si(value: float, unit: str) -> str:
 
 
 def paragraph(result: LogRun, checked: Check | None, truth: TruthFit | None) -> str:
-    """Return the summary of a run; `checked` is the check of its log."""
+    """Return the summary of a run; `checked` is the check of the run's log."""
     statistics, log = result.statistics, result.log
     opening = (
         f"{statistics.rows} samples, {statistics.rows * log.sample_time:.4g} s at "
@@ -38,7 +38,7 @@ def paragraph(result: LogRun, checked: Check | None, truth: TruthFit | None) -> 
     sentences = [
         opening,
         *_choice(result),
-        f"The position is valid on {share:.1%} of the rows, first "
+        f"The position is valid on {share:.1%} of the rows, for the first time "
         f"{si(statistics.first_valid - statistics.start, 's')} after the start.",
         _drift(result),
         *_current_bias(result),
@@ -73,7 +73,7 @@ def _drift(result: LogRun) -> str:
 
 
 def bias_is_seen(result: LogRun) -> bool:
-    """Whether the record identifies the current bias; false if it is not an unknown."""
+    """Whether the record identifies the current bias; false if the bias is not an unknown."""
     observer = result.observer
     if not isinstance(observer, ImmersionObserver):
         return False
@@ -108,7 +108,7 @@ def _flux(result: LogRun) -> list[str]:
 
 
 def _parameters(result: LogRun) -> list[str]:
-    """Parameters that the adaptive observer learnt, each with the value assumed before."""
+    """Describe the parameters that the adaptive observer learnt, each with its assumed value."""
     adaptive, learnt = result.adaptive, result.learnt
     if adaptive is None or learnt is None:
         return []
@@ -153,7 +153,7 @@ def _parameters(result: LogRun) -> list[str]:
 
 
 def _choice(result: LogRun) -> list[str]:
-    """The unknowns, if they were chosen from the log."""
+    """Name the unknowns if they were chosen from the log."""
     if not result.automatic:
         return []
     if result.adaptive is not None:
@@ -181,7 +181,7 @@ def _score(result: LogRun, truth: TruthFit | None) -> list[str]:
 
 
 def _fitted(result: LogRun, truth: TruthFit | None) -> list[str]:
-    """Errors of the truth channel, and the position error that remains without them."""
+    """Describe the errors of the truth channel, and the position error without these errors."""
     if truth is None or not truth.told:
         return []
     columns = "" if result.log.true is None else " ".join(result.log.true.columns)

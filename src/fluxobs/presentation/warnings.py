@@ -14,22 +14,22 @@ from ..machines.model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
 from .summary import bias_is_seen, si
 
-#: Warn below this many samples per electrical period: the error of the cubic through four currents
-#: then exceeds a percent of the resistive drop (benchmarks/accuracy.py).
+#: Warn if an electrical period has fewer samples than this. With fewer samples, the error of the
+#: cubic through four currents exceeds a percent of the resistive drop (benchmarks/accuracy.py).
 SAMPLES_PER_PERIOD = 8
-#: If fewer than this share of a moving machine's rows are valid, machine data or log are wrong.
+#: If a smaller share of a moving machine's rows is valid, the machine data or the log is wrong.
 VALID_SHARE = 0.5
-#: A summary is meaningful if the log lasts this many memories: after three, e⁻³ = 5 % of the
-#: initial error remains. With unknown resistance or inverter, a position is valid only after three.
+#: A summary is meaningful if the log lasts this many memories: after three memories, e⁻³ = 5 % of
+#: the initial error remains. With unknown resistance or inverter, no position is valid earlier.
 MEMORIES, MEMORIES_ADAPTIVE = 3, 5
-#: Warn of missing truth if fewer than this share of the valid rows have it.
+#: Warn of missing truth if a smaller share of the valid rows has a true value.
 TRUTH_SHARE = 0.99
-#: A voltage below this many resistive drops means standstill or nearly so.
+#: A voltage below this multiple of the resistive drop means standstill or very slow rotation.
 STANDING = 2.0
 
 
 def warnings(result: LogRun, checked: Check | None, fit: TruthFit | None = None) -> list[str]:
-    """Return the warnings of a run, the most important first; `checked` is the check of its log."""
+    """Return the warnings, the most important first; `checked` is the check of the run's log."""
     if result.plain is None:
         return [*_samples(result), *_jumps(result), *_immersed_validity(result), *_bias(result)]
     duration = result.statistics.rows * result.log.sample_time
@@ -157,7 +157,7 @@ def _residual(result: LogRun, plain: LeastSquaresObserver, checked: Check | None
         f"The residual of the machine's relation is larger than noise explains: {residual:.1%} of "
         f"the flux squared, with your values of R_s and inverter."
         + (f" In segments of the log, {better_values}." if better_values else "")
-        + " Estimate them with --unknowns auto, or run `fluxobs identify`."
+        + " Estimate R_s and inverter with --unknowns auto, or run `fluxobs identify`."
     ]
 
 
@@ -183,11 +183,11 @@ def _immersed_validity(result: LogRun) -> list[str]:
     advice = (
         "--unknowns drift needs less excitation."
         if "current-bias" in result.unknowns
-        else "A longer --memory may suffice for weaker excitation."
+        else "With a longer --memory, weaker excitation may suffice."
     )
     return [
         f"The flux is valid on only {statistics.valid / statistics.rows:.1%} of the rows: the "
-        f"excitation is weak for the noise. {advice}"
+        f"excitation is too weak for the noise. {advice}"
     ]
 
 
