@@ -386,7 +386,9 @@ def _fit_identifiable(problem: _Problem) -> _Solution:
         doubts |= _find_unseen_inductances(result, data)
         if "inverter" in names and result.values["inverter"] < 0 and not doubts:
             value, std = result.values["inverter"], result.std("inverter")
-            doubts = {"inverter": f"{value:.2g} ± {std:.2g} V fits, but no inverter adds voltage"}
+            doubts = {
+                "inverter": f"the fit is {value:.2g} ± {std:.2g} V, but inverters add no voltage"
+            }
             given["inverter"], held["inverter"] = 0.0, std
         if not doubts:
             return _Solution(result, names, unidentified)
