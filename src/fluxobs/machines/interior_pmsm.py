@@ -1,4 +1,4 @@
-"""Interior permanent-magnet synchronous machine, by its active flux."""
+"""Interior permanent-magnet synchronous machine, described by its active flux."""
 
 from __future__ import annotations
 
