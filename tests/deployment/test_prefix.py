@@ -46,7 +46,7 @@ def test_a_prefix_that_resembles_the_library_compiles(tmp_path, prefix, unknowns
     "prefix", ["fo", "FO", "fo_adaptive", "fo_use", "Fo_map", "fluxobs", "FLUXOBS", "fluxobs_seed"]
 )
 def test_the_library_s_own_prefixes_are_refused(tmp_path, prefix):
-    with pytest.raises(FluxobsError, match=f"prefix '{prefix}' cannot.*'motor' can"):
+    with pytest.raises(FluxobsError, match=f"prefix '{prefix}' cannot.*use 'motor'"):
         fluxobs.export("ipm-5kw6", 1e-4, tmp_path / "motor", unknowns="auto", prefix=prefix)
     assert not (tmp_path / "motor").exists()
 

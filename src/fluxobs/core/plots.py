@@ -1,4 +1,4 @@
-"""Colours, style and files of all pictures. Matplotlib is loaded when the first is drawn."""
+"""Colours, style and files of all pictures. The first picture drawn loads Matplotlib."""
 
 from __future__ import annotations
 
