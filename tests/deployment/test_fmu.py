@@ -108,7 +108,7 @@ def test_the_sources_are_double_precision_without_any_option(units, tmp_path):
 
 
 class Instance:
-    """A unit of FMI 2.0 or 3.0 behind the same methods, with its messages."""
+    """A unit of FMI 2.0 or 3.0 behind common methods, with the unit's messages."""
 
     def __init__(self, path, token=None):
         description = fmpy.read_model_description(path)

@@ -1,4 +1,4 @@
-"""An exported folder: its host test detects changes, and no file of a user is lost."""
+"""An exported folder: the host test detects changes, and no file of a user is lost."""
 
 import hashlib
 import os

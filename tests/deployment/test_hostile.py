@@ -39,7 +39,7 @@ def machine(folder, name):
 
 
 def contents(folder):
-    """Return relative path → content, also of the files in units."""
+    """Return the contents of the files, also of files in units, by relative path."""
     files = {}
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         name, data = path.relative_to(folder).as_posix(), path.read_bytes()

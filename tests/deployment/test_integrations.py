@@ -74,7 +74,7 @@ def exported(tmp_path_factory):
 
 
 def as_adaptive(source):
-    """Return a shim for the adaptive observer, changed as its first lines instruct."""
+    """Return a shim for the adaptive observer, changed as the shim's first lines instruct."""
     source = re.sub(r"\bfo_(state|estimate|reset|step)\b", r"fo_adaptive_\1", source)
     source = re.sub(r"\bestimate\.", "estimate.position.", source)
     return source.replace("motor_observer.sample_time", "motor_observer.plain.sample_time")
@@ -119,7 +119,7 @@ def test_it_compiles_for_a_cortex_m4f(host, exported, tmp_path):
 
 @pytest.fixture(scope="module")
 def drive(exported, tmp_path_factory):
-    """Return a function that runs a host's drive and returns its report, name → value."""
+    """Return a function that runs a host's drive and returns the values of the report, by name."""
     programs: dict[tuple[Host, bool], Path] = {}
 
     def program(host: Host, adaptive: bool) -> Path:

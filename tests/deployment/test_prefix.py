@@ -75,7 +75,7 @@ def test_names_that_resemble_reserved_ones_are_accepted(prefix):
 
 
 def test_the_proposed_prefix_is_accepted(tmp_path):
-    with pytest.raises(FluxobsError, match="'motor' can"):
+    with pytest.raises(FluxobsError, match="use 'motor'"):
         fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", prefix="fluxobs-axis")
 
 

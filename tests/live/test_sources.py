@@ -16,7 +16,7 @@ from fluxobs.live.sources import Demo, open_source
 
 
 def until(source, wanted, send=None):
-    """Return at least `wanted` bytes of a source; `send` is called once it listens."""
+    """Return at least `wanted` bytes of a source; call `send` once the source listens."""
     received = b""
     end = time.monotonic() + 20
     with closing(source.chunks()) as chunks:

@@ -593,7 +593,7 @@ class Node:
 
 
 class Module(translate.Module):
-    """A module that records the names of Python and NumPy that its translation uses.
+    """A module that records the names of Python and NumPy that the module's translation uses.
 
     Attributes
     ----------

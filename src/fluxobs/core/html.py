@@ -60,7 +60,7 @@ def image(png: bytes, alt_text: str) -> str:
 
 
 def from_markdown(text: str, folder: Path) -> str:
-    """Convert Markdown with tables to HTML; embed its pictures, PNG files in `folder`."""
+    """Convert Markdown with tables to HTML; embed the pictures, which are PNG files in `folder`."""
     from markdown_it import MarkdownIt
 
     renderer = MarkdownIt("commonmark", {"html": False}).enable("table")

@@ -8,7 +8,7 @@ from ..errors import FluxobsError
 
 
 def beside(folder: Path, name: str, field: str) -> Path:
-    """Return the path of a file that a file in `folder` names; it must be in or below `folder`.
+    """Return the path of a file named in a file of `folder`, which must be in or below `folder`.
 
     A received file must not make the program read the rest of the computer.
 

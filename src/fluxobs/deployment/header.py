@@ -18,7 +18,7 @@ from .c_source import PRECISIONS, Precision, inert, initializer, literal
 Exported = LeastSquaresObserver | AdaptiveObserver
 
 
-#: Index of the asymmetry among the unknowns (FO_ASYMMETRY); one more unknown follows it.
+#: Index of the asymmetry among the unknowns (FO_ASYMMETRY); one unknown follows the asymmetry.
 ASYMMETRY_PLACE = 8
 
 

@@ -25,7 +25,7 @@ def fill(core: Core, template: str, more: Mapping[str, str] | None = None) -> st
     folder = resources.files(__package__) / "templates"
     text = _variant((folder / template).read_text(encoding="utf-8"), core)
     values = _placeholders(core) | dict(more or {})
-    # All are replaced in one pass, so that placeholders within a value are not replaced.
+    # All placeholders are replaced in one pass; placeholders within a value are kept.
     return re.sub(r"@(\w+)@", lambda match: values.get(match[1], match[0]), text)
 
 

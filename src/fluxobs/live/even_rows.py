@@ -16,7 +16,7 @@ class Spaced:
     Parameters
     ----------
     clock : Clock
-        Clock of the first rows. Its step and rounding apply to the whole stream.
+        Clock of the first rows, whose step and rounding apply to the whole stream.
 
     Attributes
     ----------

@@ -71,7 +71,7 @@ class Frames:
     def feed(self, data: bytes, last: bool = False) -> list[StreamRows]:
         """Add received bytes; return the rows that they complete.
 
-        Rows are held back until there are HEAD_ROWS of them or the stream ends.
+        Rows are held back until there are HEAD_ROWS rows or the stream ends.
         """
         samples: list[bytes] = []
         numbers: list[int] = []

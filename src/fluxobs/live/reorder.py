@@ -37,14 +37,14 @@ class Ordered(NamedTuple):
 class Order:
     """Filter that puts rows in the order of their time stamps.
 
-    If a row does not follow its predecessor, it is held back until the next row arrives. If the
+    A row that does not follow its predecessor is held back until the next row arrives. If the
     next row follows the held row, samples are missing or the sender restarted. If the next row
     follows the predecessor, the held row is late or has a damaged stamp, and is left out.
 
     Parameters
     ----------
     clock : Clock
-        Clock of the first rows. Its step, rounding and wrap apply to the whole stream.
+        Clock of the first rows, whose step, rounding and wrap apply to the whole stream.
     time : str, optional
         Column of the stamps. Without this column, rows are counted.
     scale, offset : float
@@ -161,7 +161,7 @@ class Order:
         return Ordered(ordered, stamp[in_order] + ahead, moved)
 
     def _accept(self, stamp: float) -> None:
-        """Advance to a stamp; count a restart if it goes back or far ahead."""
+        """Advance to a stamp; count a restart if the stamp goes back or far ahead."""
         before, self._before = self._before, stamp
         if before is None:
             return

@@ -162,7 +162,7 @@ class _Browser:
         self.waiting: queue.Queue[bytes | None] = queue.Queue()
 
     def take(self, data: bytes, patient: bool) -> None:
-        """Queue data; disconnect the browser if it is too slow (its page says so)."""
+        """Queue data; disconnect a browser that is too slow (the page shows a message)."""
         if self.ended:
             return
         if self.late:

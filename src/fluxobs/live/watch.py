@@ -56,7 +56,7 @@ class Status:
     chosen : int
         How often the observer was chosen: at first, and whenever the signals have grown.
     waiting : str
-        What the observer waits for; "" once it runs.
+        What the observer waits for; "" once the observer runs.
     """
 
     rows: int

@@ -75,7 +75,7 @@ def from_datasheet(
     magnets: bool,
     note: Callable[[str], Any] = lambda text: None,
 ) -> dict[str, Any]:
-    """Return fields of a machine file, with datasheet fields converted to its parameters.
+    """Return fields of a machine file, with datasheet fields converted to parameters.
 
     Parameters
     ----------

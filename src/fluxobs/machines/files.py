@@ -60,8 +60,7 @@ def read_machine(path: str | Path) -> Machine:
         return example(path.name)
     if not path.exists():
         raise MachineError(
-            f"{path}: no such machine file, nor a shipped machine"
-            f"{nearest(path.name, example_names())}"
+            f"{path}: no such machine file or shipped machine{nearest(path.name, example_names())}"
         )
     fields = read_toml(path, MachineError)
     flux_map = fields.get("flux_map")

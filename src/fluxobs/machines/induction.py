@@ -59,9 +59,9 @@ class InductionMachine(RotatingMachine):
         T-model parameters, referred to the stator.
     plate : mapping, instead of all inductances and resistances
         voltage [V rms, line to line], frequency [Hz], power [W], current [A rms], speed [rpm],
-        cos_phi, for a star connection. They give rough values, which `fluxobs identify` improves.
-        The leakage reactance is 0.15 of the rated impedance, and all losses except those of the
-        slip are assigned to the stator's copper.
+        cos_phi, for a star connection. These numbers give rough values, which `fluxobs identify`
+        improves. The leakage reactance is 0.15 of the rated impedance, and all losses except those
+        of the slip are assigned to the stator's copper.
 
     References
     ----------

@@ -53,7 +53,7 @@ class RotatingMachine(Machine):
         5 % of rated_current.
     rated_speed : float, optional
         Mechanical speed [rad/s], > 0; for an induction machine, the speed at which field weakening
-        begins. It sets the memory if L/R is short; a rough value suffices.
+        begins. This speed sets the memory if L/R is short; a rough value suffices.
     R_s_std, inverter_voltage_std : float, optional
         Standard deviations of these values [Ω], [V], >= 0, for the adaptive observer. L_s_std, or
         L_d_std and L_q_std [H], and psi_f_std [Wb] have the same meaning. Defaults:
@@ -256,7 +256,7 @@ class RotatingMachine(Machine):
 
 
 class SynchronousMachine(RotatingMachine):
-    """A machine whose flux is a function of its current in rotor coordinates, its flux map.
+    """A machine with a flux map, which is the flux as a function of current in rotor coordinates.
 
     Parameters
     ----------
@@ -346,7 +346,7 @@ class SynchronousMachine(RotatingMachine):
 
 
 class MagnetMachine(SynchronousMachine):
-    """A machine whose position vector λ - L i has the constant length of its magnet flux.
+    """A machine whose position vector λ - L i has the constant length of the magnet flux.
 
     The relation is ``|λ - L i|² = ψ²``: Q1 = I, Q2 = -2L I, Q3 = L² I, d = -ψ².
     """
@@ -382,7 +382,7 @@ def rotating(machine: object, what: str = "this") -> RotatingMachine:
     Raises
     ------
     MachineError
-        `machine` does not rotate, or is not a machine (for example, it is a name).
+        `machine` does not rotate, or is not a machine (for example, a name).
     """
     if isinstance(machine, RotatingMachine):
         return machine
@@ -390,7 +390,7 @@ def rotating(machine: object, what: str = "this") -> RotatingMachine:
         raise MachineError(f"kind {machine.kind}: {what} is for machines that turn")
     if isinstance(machine, str):
         raise MachineError(
-            f"{machine!r} is a name: {what} takes the machine itself, "
+            f"{machine!r} is a name: {what} needs the machine itself, "
             f"fluxobs.read_machine({machine!r})"
         )
-    raise MachineError(f"{what} takes a machine, got {type(machine).__name__}")
+    raise MachineError(f"{what} needs a machine, got {type(machine).__name__}")

@@ -34,8 +34,8 @@ Exponent = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
 class FluxPoints:
     """Points of a flux map, on a grid or scattered.
 
-    If the points have only one sign of i_q, they are mirrored to the other sign; without magnets,
-    also for i_d.
+    Points with only one sign of i_q are mirrored to the other sign; without magnets, the points are
+    also mirrored in i_d.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class AlgebraicSaturation(BaseModel):
     psi_f: NotNegative = 0.0
 
     def current(self, flux: ArrayLike) -> Complex:
-        """Return the current d + j q [A] of a flux [Wb], (...)."""
+        """Return the current d + j q [A] of a flux d + j q [Wb]."""
         psi = np.asarray(flux, complex)
         d, q = np.abs(psi.real), np.abs(psi.imag)
         S, T, U, V = self.S, self.T, self.U, self.V
@@ -172,7 +172,7 @@ class AlgebraicSaturation(BaseModel):
         return dd, sign * a * d ** (U + 1) * q ** (V + 1), qq
 
     def flux(self, current: ArrayLike) -> Complex:
-        """Return the flux d + j q [Wb] of a current [A], (...), by Newton's method.
+        """Return the flux d + j q [Wb] of a current d + j q [A], computed by Newton's method.
 
         The map is the gradient of a convex energy, so damped steps always converge.
         """

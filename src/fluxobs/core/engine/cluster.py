@@ -13,7 +13,7 @@ from .policy import MAX_ATTEMPTS, TASKS_PER_WORKER, GivenUp
 
 Task = TypeVar("Task")
 
-#: Longest wait for a scheduler and for its first worker [s].
+#: Longest wait for a scheduler and for the first worker [s].
 PATIENCE = 30
 #: Time that tasks wait when no worker is left [s]. Dask may fail to replace a dead worker.
 ABANDONED = 60

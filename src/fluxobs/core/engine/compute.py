@@ -35,8 +35,8 @@ def compute(
     tasks : iterable
         Small objects that can be pickled; the next task is read when a worker becomes free.
     work : callable
-        A module-level function, or a partial of one. A task may be done twice and must then give
-        the same result.
+        A module-level function, or a partial of such a function. A task may be done twice and must
+        then give the same result.
     workers : int, optional
         Processes on this machine; by default, one per processor.
     scheduler : str

@@ -25,7 +25,7 @@ def locked(folder: Path) -> Iterator[None]:
     Raises
     ------
     FluxobsError
-        Another process uses the folder, it cannot be written, or it contains a link.
+        Another process uses the folder, or the folder cannot be written or contains a link.
     """
     with os.fdopen(open_own(folder / ".lock"), "wb") as handle:
         if not lock(handle.fileno()):

@@ -177,9 +177,9 @@ def _description(core: Core, identifier: str, version: int, sources: Mapping[str
             "modelName": f"fluxobs observer for {core.prefix}",
             token: _token(core),
             "description": f"Flux, position and speed of an electrical machine; content "
-            f"{core.content}. A step takes the voltage of the last interval and the current at its "
-            f"end. Outputs belong to the instant at which the inputs were set and are read one "
-            f"communication step later.",
+            f"{core.content}. A step uses the voltage of the last interval and the current at the "
+            f"end of that interval. Outputs belong to the instant at which the inputs were set "
+            f"and are read one communication step later.",
             "generationTool": f"fluxobs {core.version}",
             "license": "MIT",
             "variableNamingConvention": "flat",

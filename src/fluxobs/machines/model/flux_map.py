@@ -39,7 +39,7 @@ class Mapped(NamedTuple):
     by_q: Complex
 
     def auxiliary(self, current: ArrayLike) -> Complex:
-        """Return ``F + j J(j i)`` [Wb]; its real part is the active flux."""
+        """Return ``F + j J(j i)`` [Wb], whose real part is the active flux."""
         i = np.asarray(current, complex)
         return np.asarray(self.flux + 1j * (self.by_q * i.real - self.by_d * i.imag))
 

@@ -14,7 +14,7 @@ from ...core.arrays import Array
 Frame = Literal["alphabeta", "abc", "line", "duty", "dq", "ports"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
-#: Voltage channels of each frame, then its current channels. Two of three phases suffice, since the
+#: Voltage channels of each frame, then the current channels. Two of three phases suffice, since the
 #: sum of all three is zero. For phase voltages this is true only if they are measured to neutral.
 VOLTAGES: dict[Frame, tuple[str, ...]] = {
     "alphabeta": ("u_alpha", "u_beta"),

@@ -4,10 +4,11 @@ State ``x = (s_1 … s_r, λ, κ_1 … κ_r, θ, c_1 … c_r, δ)`` with one ``(
 
     s = λᵀQ1λ + Eᵀλ + d - λᵀQ2δ + δᵀQ3δ - Cᵀδ    κ = θᵀ(2 Q1 λ - Q2 δ + E)    c = θᵀQ1θ
 
-θ is the drift, ``λ̇ = y_m + θ``. δ is the current bias, part of the state only if it is unknown. If
-δ is the only unknown, ``θ = R δ`` and the state has no θ. With the volt-seconds ``v = ∫ y_m dt`` of
-a sample the transition is exact at any sampling rate, without discretisation. docs/theory.md,
-section 4, derives it. The C core is the case of one relation, two ports and unknown drift.
+θ is the drift, ``λ̇ = y_m + θ``. δ is the current bias, which is part of the state only if it is
+unknown. If δ is the only unknown, ``θ = R δ`` and the state has no θ. With the volt-seconds ``v = ∫
+y_m dt`` of a sample the transition is exact at any sampling rate, without discretisation.
+docs/theory.md, section 4, derives it. The C core is the case of one relation, two ports and unknown
+drift.
 """
 
 from __future__ import annotations

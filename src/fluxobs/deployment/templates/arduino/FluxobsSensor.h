@@ -4,7 +4,7 @@
  * Each time SimpleFOC asks for the angle, this sensor reads the phase currents and the voltage that
  * SimpleFOC has set since the last time, and returns the angle of the magnets. Hence
  * zero_electric_angle is 0, sensor_direction is CW, and no alignment is needed. The angle of the
- * shaft is ambiguous by multiples of 360 degrees over the pole pairs.
+ * shaft is ambiguous by multiples of 360 degrees divided by the pole pairs.
  *
  * The position is not observable at standstill. Start in open loop; handOver() closes the loop once the
  * position is valid, and opens it again after the position has been lost.

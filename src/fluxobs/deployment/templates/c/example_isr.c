@@ -1,9 +1,9 @@
 @every interrupt@
-/* How to call the observer: once per interrupt of the current control, every @sample_time@ s.
+/* Example: calls the observer once per interrupt of the current control, every @sample_time@ s.
 @every few@
-/* How to call the observer if it steps only every few interrupts: the current control interrupts
- * every @sample_time@ s, the observer takes a step every @step_time@ s, and volt-seconds are
- * summed in between.
+/* Example for an observer that steps only every few interrupts: the current control interrupts
+ * every @sample_time@ s, the observer takes a step every @step_time@ s, and volt-seconds are summed
+ * in between.
 @always@
  * Copy this file under another name before you change it, so that the folder can be exported again.
  * You must write the functions that are declared here.
