@@ -1,4 +1,4 @@
-"""Magnetic flux, rotor position, speed and sensor drift of electrical drives.
+"""Estimate magnetic flux, rotor position, speed and sensor drift of electrical drives.
 
 The command line calls :func:`estimate`, :func:`identify`, :func:`check`, :func:`compare` and
 :func:`export`; :func:`read_log`, :func:`read_machine`, :func:`example` and :func:`demo_log` provide
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 __version__ = version("fluxobs")
 
-#: Loaded on first use: they import the file readers; compare and campaign also import JAX.
+#: Names loaded on first use, since they import file readers; compare and campaign also import JAX.
 _LATER = {
     "Log": "logs",
     "Result": "presentation.result",

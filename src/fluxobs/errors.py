@@ -2,10 +2,10 @@
 
 
 class FluxobsError(ValueError):
-    """Base of all errors that a user can correct; the message says what is wrong and what to do."""
+    """Base of all errors that a user can correct; messages say what is wrong and what to do."""
 
     def __str__(self) -> str:
-        """Return the message; shorten file contents quoted in it."""
+        """Return the message, with quoted file contents shortened."""
         text = super().__str__()
         return text if len(text) < 4000 else f"{text[:2000]} … {text[-1000:]}"
 
@@ -23,7 +23,7 @@ class ObserverError(FluxobsError):
 
 
 class UsageError(FluxobsError, TypeError):
-    """Arguments do not belong together, or one is missing."""
+    """Arguments contradict each other, or an argument is missing."""
 
 
 class ModelError(FluxobsError):

@@ -24,7 +24,7 @@ BINARY = [(FluxPoints.read, MachineError), (open_tables, RecordError), (hash_fil
 @pytest.mark.parametrize(("read", "kind"), READERS + BINARY)
 @pytest.mark.parametrize("ending", ["csv", "npz", "mf4", "parquet", "xlsx", "json", "npy"])
 def test_a_pipe_is_refused(tmp_path, read, kind, ending):
-    """Reading it would block for ever: nothing writes to it."""
+    """A read would block for ever, because nothing writes to the pipe."""
     os.mkfifo(tmp_path / f"pipe.{ending}")
     with pytest.raises(kind, match=f"pipe.{ending}: this is a pipe or a device; save"):
         read(tmp_path / f"pipe.{ending}")

@@ -49,7 +49,7 @@ def test_a_second_run_cannot_write_the_temporary_file_of_a_running_one(tmp_path)
             lambda: write_text(out, "second\n"),
             lambda: write_rows(out, SCHEMA, iter([FRAME])),
         ):
-            with pytest.raises(FluxobsError, match=r"out\.csv: another run is writing it"):
+            with pytest.raises(FluxobsError, match=r"out\.csv: another run is writing this file"):
                 write()
         assert not out.exists()
     assert out.read_bytes() == b"first\n"
@@ -58,7 +58,7 @@ def test_a_second_run_cannot_write_the_temporary_file_of_a_running_one(tmp_path)
 
 
 def test_a_replaced_temporary_file_is_not_moved(tmp_path, monkeypatch):
-    """Without locks, another run may take it for a stale one."""
+    """Without locks, another run may replace the temporary file as a stale file."""
     out = tmp_path / "out.csv"
     monkeypatch.setattr("fluxobs.core.output.lock", lambda descriptor: True)
 

@@ -1,4 +1,4 @@
-"""Links in a folder of results, which may be a received one, are not followed."""
+"""Links in a folder of results are not followed, because the folder may be a received one."""
 
 import json
 from importlib import import_module
@@ -14,7 +14,7 @@ from fluxobs.core.engine import locked
 from fluxobs.core.output import write_rows, write_text
 from fluxobs.core.symlinks import open_own
 
-#: The module; `fluxobs.campaign` is a function.
+#: Imports the module, because `fluxobs.campaign` is a function.
 campaigns = import_module("fluxobs.campaigns.campaign")
 
 

@@ -6,7 +6,7 @@ from support.records import MACHINES
 
 @pytest.fixture(scope="session")
 def folders(tmp_path_factory):
-    """Every machine exported for 10 kHz; tests must not write to these folders."""
+    """Export every machine for 10 kHz; tests must not write to these folders."""
     exports = {}
     for name, machine in MACHINES.items():
         exports[name] = tmp_path_factory.mktemp("exports") / name

@@ -1,4 +1,4 @@
-"""The Arduino library: sketches on this computer, sensor in a simulated SimpleFOC drive."""
+"""The Arduino library: its sketches on this computer, its sensor in a simulated SimpleFOC drive."""
 
 import json
 import re
@@ -20,7 +20,7 @@ CPP = ["g++", "-std=c++11", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-We
 @pytest.fixture(scope="module", params=["drift", ADAPTIVE], ids=["plain", "adaptive"])
 def library(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("arduino") / "motor"
-    # as after an identification: unidentifiable at constant speed and load
+    # priors as after an identification, since both are unidentifiable at constant speed and load
     priors = {"resistance": 0.02, "inverter": 0.05} if request.param == ADAPTIVE else None
     fluxobs.export(
         MACHINES["servo-400w"],
@@ -83,7 +83,7 @@ def test_a_simplefoc_drive_closes_its_loop_and_opens_it_again(library, tmp_path)
     assert 0.02 < report["handed over"] < 1.0
     assert 1.8 < report["lost"] < 1.95  # the gates are off
     assert report["closed"] > 0.4
-    assert report["worst"] < 0.08  # [rad], of the angle while it is valid
+    assert report["worst"] < 0.08  # [rad], while the angle is valid
     assert report["turns"] > 10
 
 

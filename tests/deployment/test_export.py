@@ -1,4 +1,4 @@
-"""Files of an export, and the command."""
+"""Files of an export, and the command `fluxobs export`."""
 
 import re
 import shlex
@@ -99,7 +99,7 @@ def test_a_record_for_any_sample_time(tmp_path, sample_time, every, unknowns):
 def test_the_command_that_estimate_prints_exports_that_observer(tmp_path):
     """The export command that estimate recommends for a log at 20 kHz works."""
     t = 5e-5 * np.arange(20_000)
-    demo = pl.read_csv(fluxobs.demo_log().path)[:5000]  # as if it ran four times as fast
+    demo = pl.read_csv(fluxobs.demo_log().path)[:5000]  # as if the drive ran four times as fast
     columns = {name: demo[name].to_numpy() for name in demo.columns}
     old = columns.pop("t")
     columns = {name: np.interp(t, old, values) for name, values in columns.items()}

@@ -1,4 +1,4 @@
-"""Simulation units: the record through FMPy, their files, and refused calls."""
+"""Simulation units: a record replayed by FMPy, the units' files, and refused calls."""
 
 import io
 import json
@@ -31,7 +31,7 @@ def units(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("fmu") / "motor"
     machine = "ipm-5kw6" if request.param == "map" else "servo-400w"
     unknowns = ADAPTIVE if request.param == ADAPTIVE else "drift"
-    with pytest.MonkeyPatch.context() as patch:  # cross-compilers have their own test
+    with pytest.MonkeyPatch.context() as patch:  # another test covers cross-compilers
         patch.setattr(build, "has_zig", lambda: False)
         fluxobs.export(MACHINES.get(machine, machine), STEP, folder, unknowns=unknowns, form="fmu")
     return folder
@@ -87,7 +87,7 @@ def test_the_sources_in_the_unit_compile_on_their_own(units, tmp_path):
 
 
 def test_the_sources_are_double_precision_without_any_option(units, tmp_path):
-    """Both units compile from their archives: FMI 2.0 has no place for definitions."""
+    """Both units compile from their archives; FMI 2.0 has no place for compiler definitions."""
     shutil.copytree(units, tmp_path / "motor")
     for version in (2, 3):
         path = tmp_path / "motor" / f"motor.fmi{version}.fmu"
@@ -108,7 +108,7 @@ def test_the_sources_are_double_precision_without_any_option(units, tmp_path):
 
 
 class Instance:
-    """A unit of FMI 2.0 or 3.0 behind the same methods, with its messages."""
+    """A unit of FMI 2.0 or 3.0 behind common methods, with the unit's messages."""
 
     def __init__(self, path, token=None):
         description = fmpy.read_model_description(path)
@@ -175,7 +175,7 @@ def instance(request, units):
 
 
 def test_wrong_arguments_are_refused(units, instance):
-    """Wrong step size, token of another unit, damaged state, variable that is no input."""
+    """Refuse a wrong step size, another unit's token, a damaged state, and an output as input."""
     with pytest.raises(Exception, match=r"[Ii]nstantiate"):
         Instance(units / "motor.fmi3.fmu", token="{0}")
     instance.begin()
@@ -192,7 +192,7 @@ def test_wrong_arguments_are_refused(units, instance):
 
 @pytest.mark.slow
 def test_a_state_of_another_machine_is_refused(tmp_path, monkeypatch):
-    """It has the same size and a correct checksum."""
+    """The state has the same size and a correct checksum."""
     monkeypatch.setattr(build, "has_zig", lambda: False)
     monkeypatch.setattr(build, "compared", lambda files, command: [])
     for name in ("servo-400w", "pmsm-2kw2"):
@@ -211,7 +211,7 @@ def test_a_state_of_another_machine_is_refused(tmp_path, monkeypatch):
 
 
 def test_calls_out_of_order_are_refused(instance):
-    """A step before initialization or after termination; a mode change from the wrong mode."""
+    """Steps before initialization or after termination, and wrong mode changes, are refused."""
     unit = instance.unit
     steps = "a step needs an instance that is initialized and not terminated"
     assert instance.refuses(instance.step, 0.0, message=steps)
@@ -229,7 +229,7 @@ def test_calls_out_of_order_are_refused(instance):
 
 
 def test_no_step_is_left_out_or_repeated(instance):
-    """Time begins at the given start, goes back with a restored state, and may be rounded."""
+    """The time begins at the given start, goes back with a restored state, and may be rounded."""
     instance.begin(5.0)
     assert instance.refuses(instance.step, 0.0, message="begins at 5 s")
     instance.step(5.0)

@@ -1,4 +1,4 @@
-"""An exported folder: its host test detects changes, and no file of a user is lost."""
+"""An exported folder: the host test detects changes, and no file of a user is lost."""
 
 import hashlib
 import os
@@ -48,7 +48,7 @@ def test_make_test_in_the_folder(tmp_path, compiler):
         (
             "test/vectors.h",
             r"expected\[171\].*?\{(?:[^,{]*, ){5}(-?0x1\.[0-9a-f]{3})",
-        ),  # … or speed
+        ),  # an expected speed
         ("test/vectors.h", r"samples\[SAMPLES\].*?FO_\((0x1\.[0-9a-f]{3})"),  # a measured voltage
         ("motor_observer.c", r"FO_SINGLE.*?(0\.003)\d*f, /\* sample time"),
     ],
@@ -217,7 +217,7 @@ def test_two_machines_in_one_firmware(tmp_path):
     assert build(pump).stderr == ""
     assert subprocess.run([tmp_path / "two"], check=False).returncode == 0
 
-    # The sources of the fan have no flux maps.
+    # The exported sources of the fan contain no flux maps.
     assert "fo_reset_single_mapped" in build(fan).stderr
     shutil.copy(fan / "fluxobs_real.h", pump)
     assert "they have FO_MAPPED 1" in build(pump).stderr

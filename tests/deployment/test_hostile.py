@@ -17,7 +17,8 @@ from fluxobs.deployment.c_source import inert
 from fluxobs.deployment.forms import FORMS, build
 from fluxobs.machines import read_machine
 
-#: Would end a comment, string, element or table cell, define a macro, or look like a placeholder.
+#: This name would end a comment, string, element or table cell, define a macro, or look like a
+#: placeholder.
 HOSTILE = (
     "a*\\\n#define fo_step fo_evil\n??\\\r\n\" ' @prefix@ @content@ @unknown@ <b> & ]]> --> "
     "| `rm` ${x} %{ %s\u2028 \u202e é\x1b[0m \\u002a .csv"
@@ -38,7 +39,7 @@ def machine(folder, name):
 
 
 def contents(folder):
-    """Return relative path → content, also of the files in units."""
+    """Return the contents of the files, also of files in units, by relative path."""
     files = {}
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         name, data = path.relative_to(folder).as_posix(), path.read_bytes()
@@ -52,7 +53,7 @@ def contents(folder):
 @pytest.mark.parametrize("unknowns", ["drift", "drift,resistance"])
 @pytest.mark.parametrize("form", FORMS)
 def test_the_name_of_a_table_is_inert(tmp_path, monkeypatch, form, unknowns):
-    """Apart from the name and hashes of it, the export equals one with another name."""
+    """Except for the name and its hashes, the export equals an export with another name."""
     monkeypatch.setattr(build, "compile_shared", lambda *arguments: b"")
     monkeypatch.setattr(build, "compile_wasm", lambda *arguments: b"")
     monkeypatch.setattr(build, "compared", lambda *arguments: [])
@@ -80,12 +81,12 @@ def test_the_name_of_a_table_is_inert(tmp_path, monkeypatch, form, unknowns):
         text = data.decode()
         occurrences += text.count(inert(HOSTILE))
         if path == "MANIFEST" or path.endswith("certificate.json"):
-            continue  # they hold hashes of the other files
+            continue  # these files hold hashes of the other files
         text = text.replace(inert(HOSTILE), TAME).replace(hash_, tame_hash)
         token = "instantiationToken" if "fmi3" in path else "guid"
         if not path.endswith(("modelDescription.xml", "unit.c", "fmi2.c", "fmi3.c")):
             assert text == tame[path].decode(), path
-        else:  # they hold an identifier computed from the content
+        else:  # these files hold an identifier computed from the content
             assert len(text) == len(tame[path].decode()), (path, token)
     assert occurrences >= 2  # in the parameters' header and in the certificate
     if form == "c" and (gcc := shutil.which("gcc")):

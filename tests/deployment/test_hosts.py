@@ -34,7 +34,7 @@ def module(request, tmp_path_factory):
 
 
 def test_the_module_returns_the_numbers_of_the_library(module):
-    """It runs in a runtime without JavaScript."""
+    """The module runs in a runtime without JavaScript."""
     store = wasmtime.Store()
     compiled = wasmtime.Module.from_file(store.engine, str(module / "motor.wasm"))
     assert not compiled.imports
@@ -70,7 +70,7 @@ def test_the_module_in_javascript(module, tmp_path):
 
 
 def test_a_state_of_another_module_is_refused(module, tmp_path):
-    """Refused are a state of the same size of another machine, and one of another size."""
+    """A state of another machine with the same size, and a state of another size, are refused."""
     certificate = json.loads((module / "certificate.json").read_text())
     unknowns = ADAPTIVE if "resistance" in certificate["settings"]["unknowns"] else "drift"
     fluxobs.export("pmsm-2kw2", STEP, tmp_path / "other", unknowns=unknowns, form="wasm")
@@ -93,7 +93,7 @@ def test_a_state_of_another_module_is_refused(module, tmp_path):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_the_certificate_of_every_form(tmp_path, form, monkeypatch):
-    """Its hashes match the files, and the contents common to all forms agree."""
+    """The hashes match the files, and the contents common to all forms agree."""
     if form != "wasm":  # the compiler of this computer is faster
         monkeypatch.setattr(build, "has_zig", lambda: False)
     fluxobs.export("servo-400w", STEP, tmp_path / "it", form=form)

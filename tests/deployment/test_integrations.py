@@ -60,7 +60,8 @@ def exported(tmp_path_factory):
         key = (sample_time, adaptive)
         if key not in folders:
             folders[key] = tmp_path_factory.mktemp("exports") / "motor"
-            # as after an identification: unidentifiable at constant speed and load
+            # priors as after an identification, since both are unidentifiable at constant speed and
+            # load
             options: dict[str, Any] = {
                 "unknowns": "drift,resistance,inverter",
                 "priors": {"resistance": 0.02, "inverter": 0.05},
@@ -73,7 +74,7 @@ def exported(tmp_path_factory):
 
 
 def as_adaptive(source):
-    """Return a shim for the adaptive observer, changed as its first lines instruct."""
+    """Return a shim for the adaptive observer, changed as the shim's first lines instruct."""
     source = re.sub(r"\bfo_(state|estimate|reset|step)\b", r"fo_adaptive_\1", source)
     source = re.sub(r"\bestimate\.", "estimate.position.", source)
     return source.replace("motor_observer.sample_time", "motor_observer.plain.sample_time")
@@ -118,7 +119,7 @@ def test_it_compiles_for_a_cortex_m4f(host, exported, tmp_path):
 
 @pytest.fixture(scope="module")
 def drive(exported, tmp_path_factory):
-    """Return a function that runs a host's drive and returns its report, name → value."""
+    """Return a function that runs a host's drive and returns the values of the report, by name."""
     programs: dict[tuple[Host, bool], Path] = {}
 
     def program(host: Host, adaptive: bool) -> Path:
@@ -157,13 +158,13 @@ def drive(exported, tmp_path_factory):
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("host", HOSTS, ids=str)
 def test_the_host_gets_the_true_angle_and_speed(host, direction, drive):
-    """Checked in the host's units, signs and timing; never trusted while its gates are off."""
+    """The host gets its own units, signs and timing, and never trusts the angle with gates off."""
     report = drive(host, direction)
     assert report["trusted"] == 1.0  # share of the last tenth of the run
     assert report["off"] == 0  # samples trusted with the gates off
     assert abs(report["mean"]) < 0.1  # degrees
     assert report["rms"] < 0.2
-    assert report["worst"] < 3.0  # from the first trusted sample on
+    assert report["worst"] < 3.0  # degrees, from the first trusted sample on
     assert report["speed"] < 0.01  # relative to the speed
 
 
@@ -180,6 +181,6 @@ def test_the_adaptive_observer_in_a_changed_shim(host, drive):
 @pytest.mark.parametrize("fault", ["later", "reversed", "swapped"])
 @pytest.mark.parametrize("host", HOSTS, ids=str)
 def test_a_wrong_delay_or_sign_is_detected(host, fault, drive):
-    """Half a period later turns the voltage by 2.3 degrees; or a current has the wrong sign."""
+    """A delay of half a period turns the voltage by 2.3 degrees."""
     report = drive(host, 1, fault)
     assert report["trusted"] < 1.0 or abs(report["mean"]) > 1.0

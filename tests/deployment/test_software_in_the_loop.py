@@ -28,7 +28,7 @@ CPU = Path("/proc/cpuinfo").read_text().split() if Path("/proc/cpuinfo").exists(
 
 
 def all_records(name):
-    """Yield whole records of a machine: biased and noisy, through a stop, with all bad samples."""
+    """Yield whole records of a machine: biased and noisy, with a stop, and with all bad samples."""
     machine = MACHINES[name]
     rated = machine.rated_current
     biased = {
@@ -109,7 +109,7 @@ def test_sanitizers_over_all_records(folders, compiled, precision):
 
 
 def test_the_firmware_returns_the_estimates_of_a_log(compiled, tmp_path):
-    """The export options that `fluxobs estimate` prints give its numbers bit for bit."""
+    """An export with the options that `fluxobs estimate` prints gives its numbers bit for bit."""
     log = LOG
     done = command(
         *("estimate", log, "--machine", "servo-400w", "--out", "e.parquet"),
@@ -125,7 +125,7 @@ def test_the_firmware_returns_the_estimates_of_a_log(compiled, tmp_path):
     current = table.select("i_alpha", "i_beta").to_numpy()
     late = np.concatenate(
         [[[np.nan, np.nan]], voltage[:-1]]
-    )  # lag 0: acts from its row to the next
+    )  # lag 0: a voltage acts from its row to the next row
     replay = replayed(compiled.program(tmp_path / "motor", ["gcc"], "double"), late, current)
     estimate = pl.read_parquet(tmp_path / "e.parquet")
     for column, name in ((0, "flux_alpha"), (2, "psi_f"), (3, "theta_e"), (5, "speed_e")):
@@ -134,7 +134,7 @@ def test_the_firmware_returns_the_estimates_of_a_log(compiled, tmp_path):
 
 @pytest.mark.parametrize("every", [1, 4])
 def test_the_example_interrupt_follows_a_drive(tmp_path, every):
-    """The exported example in a drive whose commands act from the next interrupt on."""
+    """The exported example runs in a drive whose commands act from the next interrupt on."""
     machine, h, rows = MACHINES["servo-400w"], 5e-5, 8000
     folder = tmp_path / "motor"
     fluxobs.export(machine, h, folder, update_every=every)
@@ -149,7 +149,7 @@ def test_the_example_interrupt_follows_a_drive(tmp_path, every):
     flags = [*STRICT, f"-I{folder}"]
     subprocess.run(["gcc", *flags, *sources, "-lm", "-o", program], check=True)
     gates = np.ones((rows, 1))
-    gates[5000:5500] = 0  # the command is zero then, and the rotor coasts
+    gates[5000:5500] = 0  # the command is zero, and the rotor coasts
     commanded[5000:5500] = 0
     inputs = np.concatenate([abc.T, commanded, gates], axis=1).astype(np.float32)
     done = subprocess.run([program], input=inputs.tobytes(), capture_output=True, check=True)

@@ -16,7 +16,8 @@ ADAPTIVE = "drift,resistance,inverter"
 @pytest.fixture(scope="module", params=["drift", ADAPTIVE], ids=["plain", "adaptive"])
 def program(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("uneven") / "motor"
-    small = {"resistance": 0.01, "inverter": 0.01}  # unidentifiable at constant speed and load
+    # Known, since unidentifiable at constant speed and load.
+    small = {"resistance": 0.01, "inverter": 0.01}
     priors = small if request.param == ADAPTIVE else None
     machine = MACHINES["servo-400w"]
     fluxobs.export(machine, SAMPLE_TIME, folder, unknowns=request.param, priors=priors)

@@ -116,7 +116,7 @@ REFUSED = {
     "a dict for an observer": (
         lambda: for_machine({"kind": "surface-pmsm"}),
         MachineError,
-        ["LeastSquaresObserver takes a machine, got dict"],
+        ["LeastSquaresObserver needs a machine, got dict"],
     ),
     "a levitation for an observer": (
         lambda: for_machine(MAGLEV),

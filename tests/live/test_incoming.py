@@ -36,7 +36,7 @@ def in_pieces(data, cuts):
 
 
 def framed(rows, first=65000, names=NAMES, again=1000):
-    """Return rows as frames, with a header every `again` rows."""
+    """Return rows as frames, with a header after every `again` rows."""
     stream = bytearray()
     for n, row in enumerate(np.asarray(rows, "<f4")):
         if n % again == 0:
@@ -189,7 +189,7 @@ def test_damaged_lines_are_counted_and_keep_their_place(tmp_path):
     assert len(columns["t"]) == 7
     assert np.isnan(columns["i_beta"][:3]).all()
     assert np.isfinite(columns["i_beta"][-3:]).all()
-    assert lines.damaged == 3  # in the fourth line only one cell is not a number
+    assert lines.damaged == 3  # in the fourth line, only one cell is not a number
 
 
 def test_names_given_for_a_stream_without_header(tmp_path):
@@ -201,7 +201,7 @@ def test_names_given_for_a_stream_without_header(tmp_path):
 
 
 def spaced(stamps, clock=None):
-    """Return counts and evenly spaced rows; all at once and row by row must agree."""
+    """Return counts and evenly spaced rows; check that all rows at once and single rows agree."""
     clock = clock or even(100, 0.01)
     stamps = np.asarray(stamps, float)
     rows = StreamRows({"t": stamps, "i": np.arange(len(stamps), dtype=float)}, b"")
@@ -327,7 +327,7 @@ def with_line(at, line):
     ],
 )
 def test_damaged_first_lines(tmp_path, lines, damaged, missing):
-    """They are left out, for chunks of any size."""
+    """Damaged first lines are left out, for chunks of any size."""
     for piece in (len(TEXT) + 1000, 7001):
         reader = Lines(tmp_path / "stream")
         data = b"".join(lines)

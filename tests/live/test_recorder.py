@@ -1,4 +1,4 @@
-"""A recording owns its file from the start, and does not destroy what was there before."""
+"""A recording locks its file from the start, and keeps the contents of an existing file."""
 
 import os
 import subprocess
@@ -30,7 +30,9 @@ def test_two_recordings_do_not_share_a_file(tmp_path, force):
     with Recorder(path, force=force) as first:
         first.add(b"first\n")
         message = (
-            "another run records into it" if force else "exists; give another name, or --force"
+            "another run records into this file"
+            if force
+            else "exists; give another name, or --force"
         )
         with pytest.raises(FluxobsError, match=f"run.csv: {message}"):
             record(path, force=force)
@@ -75,7 +77,7 @@ def test_links_are_not_followed(tmp_path, force, target_exists):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 def test_a_pipe_is_refused(tmp_path):
-    """Opening it would wait for a reader."""
+    """Opening the pipe would wait for a reader."""
     os.mkfifo(tmp_path / "run.csv")
     with pytest.raises(FluxobsError, match="is not a regular file"):
         record(tmp_path / "run.csv", force=True)

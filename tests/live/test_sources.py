@@ -16,7 +16,7 @@ from fluxobs.live.sources import Demo, open_source
 
 
 def until(source, wanted, send=None):
-    """Return at least `wanted` bytes of a source; `send` is called once it listens."""
+    """Return at least `wanted` bytes of a source; call `send` once the source listens."""
     received = b""
     end = time.monotonic() + 20
     with closing(source.chunks()) as chunks:
@@ -109,7 +109,7 @@ def test_datagrams_of_another_sender_are_left_out_and_counted(monkeypatch):
     with sender() as drive, sender() as stray, closing(chunks):
 
         def received(seconds, *datagrams):
-            """Return what the source reads of datagrams (sender, data) sent `seconds` later."""
+            """Send datagrams (sender, data) `seconds` later; return what the source reads."""
             now[0] += seconds
             for origin, data in datagrams:
                 origin.sendto(data, ("127.0.0.1", port))
@@ -120,7 +120,7 @@ def test_datagrams_of_another_sender_are_left_out_and_counted(monkeypatch):
         assert source.ignored == 0, "an empty datagram has no sender"
         assert received(4, (stray, b"x,y,z"), (drive, b"1,1"), (stray, b"\xf1")) == b"1,1\n"
         assert source.ignored == 2
-        # After a silence, another port of the same host is taken as the drive, restarted.
+        # After a silence, another port of the same host counts as the restarted drive.
         assert received(6, (stray, b"0,2"), (drive, b"2,1")) == b"0,2\n"
         assert source.ignored == 3
 

@@ -40,7 +40,7 @@ def test_the_estimates_of_a_log(watch, unknowns, pieces):
         unknowns=unknowns if unknowns != "auto" else live.unknowns,
         causal=True,
     )
-    # they differ only by the scales of the signals, which a stream cannot know in advance
+    # only the scales of the signals differ, which a stream cannot know in advance
     both = estimates["valid"] & log["valid"]
     assert both.sum() > 0.95 * log["valid"].sum()
     difference = np.abs(estimates["theta_e"] - log["theta_e"])[both]
@@ -77,7 +77,7 @@ def test_it_waits_for_a_current(watch):
 
 
 def test_a_signal_that_grows_gets_an_observer_that_fits(watch):
-    """From almost standstill to full speed: the first choice does not fit the rest."""
+    """The first observer is chosen near standstill and does not fit the full speed that follows."""
     header, *rows = DEMO.splitlines(keepends=True)
     table = np.array([[float(x) for x in row.split(b",")] for row in rows])
     quiet = np.repeat(table[:1], 5000, 0)
@@ -212,7 +212,7 @@ def test_received_bytes_are_kept_until_there_are_rows(watch):
 @pytest.mark.parametrize("grown", ["u", "i"])
 @pytest.mark.parametrize(("factor", "chosen"), [(3.4, 1), (4.8, 2)])
 def test_four_times_the_first_signals_need_another_observer(watch, grown, factor, chosen):
-    """The observer is chosen for twice the measured signals, and again above twice that."""
+    """An observer is chosen for twice the measured signals; above four times, another is chosen."""
     t = 2e-4 * np.arange(15_000)
     vector = np.exp(1j * 300 * t)
     large = np.where(t > 1.5, factor, 1.0)

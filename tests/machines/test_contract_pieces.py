@@ -1,4 +1,4 @@
-"""Functions of the machine interface against closed forms."""
+"""Compare functions of the machine interface with closed forms."""
 
 import numpy as np
 

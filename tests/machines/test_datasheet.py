@@ -1,4 +1,4 @@
-"""Datasheets against physical quantities, which do not depend on the motor's description."""
+"""Compare datasheets with physical quantities, which do not depend on the kind of description."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def surface(**fields):
 
 
 def terminal_voltage(machine, omega):
-    """Return the peak voltage between two terminals, from the flux over a turn."""
+    """Return the peak voltage between two terminals, computed from the flux over a turn."""
     angle = np.linspace(0, 2 * np.pi, 721)
     phases = [machine.psi_f * np.cos(angle - shift) for shift in (0, 2 * np.pi / 3)]
     line = np.gradient(phases[0] - phases[1], angle) * machine.n_p * omega
@@ -76,7 +76,7 @@ def test_inductances_from_the_smallest_and_the_largest():
     interior, reluctance = InteriorPMSM(psi_f=0.1, **line), SynchronousReluctance(**line)
     assert interior.L_dq == pytest.approx((2e-3, 5e-3))
     assert reluctance.L_dq == pytest.approx((5e-3, 2e-3))
-    # Between two terminals the inductance is 2 L_Σ - 2 L_Δ cos: its mean is L_d + L_q.
+    # The inductance between two terminals is 2 L_Σ - 2 L_Δ cos, with the mean L_d + L_q.
     assert SurfacePMSM(psi_f=0.1, **line).L_s == pytest.approx(3.5e-3)
 
 

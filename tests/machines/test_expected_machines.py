@@ -1,4 +1,4 @@
-"""Computed properties of shipped machines and datasheet machines against committed values."""
+"""Compare computed properties of shipped and datasheet machines with committed values."""
 
 import numpy as np
 import pytest

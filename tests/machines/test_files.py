@@ -62,7 +62,7 @@ def test_L_d_must_exceed_L_q():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (None, "no such machine file, nor a shipped"),
+        (None, "no such machine file or shipped"),
         ("R_s = ", "not TOML"),
         ("R_s = 1", "kind is missing"),
     ],

@@ -14,7 +14,7 @@ T_MODEL = {"R_r": 2.4, "L_ls": 0.011, "L_lr": 0.013, "L_m": 0.23}
 
 
 def test_t_model_and_inverse_gamma_have_the_same_impedance():
-    """At the terminals, for any frequency and slip."""
+    """The impedance at the terminals is the same for any frequency and slip."""
     machine = InductionMachine(R_s=3.7, n_p=2, **T_MODEL)
     for omega, slip in ((314.0, 0.05), (314.0, 1.0), (60.0, -0.3)):
         rotor_branch = T_MODEL["R_r"] / slip + 1j * omega * T_MODEL["L_lr"]
@@ -108,7 +108,7 @@ def test_wrong_parameters_are_refused(fields, message):
 
 @pytest.mark.parametrize("rated", [5.0, None])
 def test_the_map_of_a_cage(rated):
-    """Thresholds are shares of the magnetizing and of the rated current."""
+    """Thresholds are shares of the magnetizing current and of the rated current."""
     machine = InductionMachine(
         R_s=3.7, n_p=2, R_R=2.1, L_sigma=0.021, L_M=0.224, rated_current=rated
     )

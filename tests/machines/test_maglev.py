@@ -42,7 +42,7 @@ def test_the_constraint_holds():
 def test_flux_base_and_noise_in_the_middle():
     base = MACHINE.flux_base(2.0)
     assert base**2 == pytest.approx(MACHINE.k_1 * 2.0 / MACHINE.g * MACHINE.k_2 * 2.0 / MACHINE.g)
-    # Noise of both currents in the relation, at equal fluxes.
+    # Effect of the noise of both currents on the relation, at equal fluxes.
     noise = MACHINE.constraint_noise(base, 0.1)
     assert noise == pytest.approx(0.1 * base * np.sqrt(MACHINE.k_1**2 + MACHINE.k_2**2))
 

@@ -24,7 +24,7 @@ def table(path):
 
 
 def named(folder, name):
-    """Write a machine file that names a table; return its reader, path and field."""
+    """Write a machine file that names a table; return the reader, the path and the field."""
     path = folder / "motor.toml"
     path.write_text(f"{MOTOR}flux_map = {name}\n")
     return lambda: read_machine(path).flux_map, path, "flux_map"
@@ -54,7 +54,7 @@ FILES = [named, joined, specified, limited]
 
 @pytest.fixture
 def folder(tmp_path):
-    """A folder with tables in it, below it and beside it."""
+    """A folder with tables in, below and beside the folder."""
     inside = tmp_path / "inside"
     for place in (inside, inside / "below", tmp_path):
         table(place / "map.csv")
@@ -77,7 +77,7 @@ def test_a_file_outside_the_folder_is_refused(folder, kind, name):
         read()
     text = str(refused.value)
     assert text.startswith(f"{path}: {field}: {name.replace(chr(34), chr(39))} is outside")
-    assert "copy it there" in text
+    assert "copy the file there" in text
 
 
 @pytest.mark.parametrize("kind", FILES)

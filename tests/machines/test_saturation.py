@@ -58,7 +58,7 @@ def test_a_table_beside_the_machine_file(tmp_path):
     machine = read_machine(path)
     i_dq = np.array([10 + 12j, 5 - 18j])
     np.testing.assert_allclose(machine.flux_dq(i_dq), MODEL.flux(i_dq), atol=1e-3)
-    # Inductances follow from the map as chords.
+    # Inductances are computed from the map as slopes of chords.
     assert machine.L_q == pytest.approx(MODEL.flux(22j).imag / 22, rel=0.02)
     assert machine.L_d == pytest.approx(MODEL.flux(11 + 0j).real / 11, rel=0.02)
     # A copy keeps the map and the inductances.

@@ -1,4 +1,4 @@
-"""Uses of Python and NumPy in the translated modules, as functions that both languages run.
+"""Functions that use Python and NumPy like the translated modules, run in both languages.
 
 `test_arithmetic.py` translates this file and calls each function here and in Node.js. The name of a
 parameter selects its arguments: see `ARGUMENTS` there. JavaScript has one type of number and treats

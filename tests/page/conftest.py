@@ -24,7 +24,7 @@ def browser():
 
 @pytest.fixture
 def window(browser, tmp_path):
-    """Return a function that opens a page offline; at the end, check that it sent no requests."""
+    """Return a function that opens a page offline; check at the end that it sent no requests."""
     opened = []
 
     def make(name_or_text, **options):

@@ -1,7 +1,7 @@
 """`web/runtime/` in Node.js returns the results of NumPy and Python.
 
-`FLUXOBS_EXAMPLES=5000 pytest tests/page/test_arithmetic.py` tries more examples, other ones in each
-run.
+`FLUXOBS_EXAMPLES=5000 pytest tests/page/test_arithmetic.py` tries more examples, which differ in
+each run.
 """
 
 import ast
@@ -50,7 +50,7 @@ CASES = {
 
 # ---- arguments ---------------------------------------------------------------
 
-#: Up to this, every whole number is a double; the runtime's integers are doubles.
+#: Up to this limit, every whole number is a double, as are the runtime's integers.
 EXACT = 2**53
 SPECIAL = [0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, -0.5, 1.5, 2.5, 1e308, -1e308]
 SPECIAL += [5e-324, 1e22, 0.1, 2.675, 1e16, 123456.5]
@@ -187,7 +187,7 @@ def pieces(draw, equal=False):
 
 @st.composite
 def selections(draw):
-    """Draw an array and an index of it."""
+    """Draw an array and an index into the array."""
     shape = draw(shapes.filter(len))
     indices = []
     remaining, many = list(shape), draw(st.integers(0, 3))
@@ -269,7 +269,7 @@ def accumulations(draw):
 
 @st.composite
 def lists_of_items(draw, most=6):
-    """Draw a list of whole numbers or of others: JavaScript treats [1.0] as integers."""
+    """Draw a list of whole or of fractional numbers, since JavaScript treats [1.0] as integers."""
     fractions = st.sampled_from([0.5, -1.5, 2.25, np.inf, 1e-3])
     elements = draw(st.sampled_from([small, fractions, st.booleans()]))
     return draw(st.lists(elements, max_size=most))
@@ -282,7 +282,7 @@ slices = st.builds(slice, slice_ends, slice_ends, st.sampled_from([None, 1, 2, -
 
 @st.composite
 def long_runs(draw):
-    """Many numbers, some of them equal: Hypothesis is slow at lists so long."""
+    """Return many numbers, some equal, since Hypothesis draws long lists slowly."""
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
     out = random.normal(size=draw(st.integers(0, 700)))
     return np.round(out, draw(st.sampled_from([0, 1, 16])))
@@ -325,7 +325,7 @@ text_specs = st.builds(
 few = st.integers(0, 5)
 fractions = numbers.filter(lambda x: x == x and not x.is_integer())
 some_ordered = st.lists(numbers.filter(lambda x: x == x), min_size=1, max_size=5)
-#: Digits of other scripts are an error in the browser.
+#: Digits of non-Latin scripts are an error in the browser.
 numerals = st.one_of(
     texts.filter(lambda text: not re.search("(?![0-9])\\d", text)),
     st.integers(-(10**20), 10**20).map(str),
@@ -337,7 +337,7 @@ numerals = st.one_of(
 
 
 def _patterns():
-    """The expressions of the modules that read names and cells of logs."""
+    """The regular expressions of the modules that read names and cells of logs."""
     modules = [names, structure, cells, guess, units, timing]
     out = [x for module in modules for x in vars(module).values() if isinstance(x, re.Pattern)]
     return sorted({x.pattern for x in (*out, *names._patterns().values())})
@@ -345,7 +345,7 @@ def _patterns():
 
 PATTERNS = _patterns()
 
-#: What the functions of arithmetic.py get, by the names of their parameters.
+#: Arguments of the functions of arithmetic.py, by the names of the parameters.
 ARGUMENTS = {
     "pair": pairs(reals),
     "array": arrays(),
@@ -524,7 +524,7 @@ def sent(x):
 
 
 def received(x):
-    """Return the value in an answer of evaluate.mjs."""
+    """Return the value in a reply of evaluate.mjs."""
     if not isinstance(x, dict):
         return x
     [(key, value)] = x.items()
@@ -593,7 +593,7 @@ class Node:
 
 
 class Module(translate.Module):
-    """A module that records the names of Python and NumPy that its translation uses.
+    """A module that records the names of Python and NumPy that the module's translation uses.
 
     Attributes
     ----------
@@ -620,7 +620,7 @@ class Module(translate.Module):
         return super().do_AugAssign(node)
 
     def origin(self, node):
-        """Return the origin of a name; for an attribute of another object, a dot and its name."""
+        """Return the origin of a name; for an attribute of another object, a dot and the name."""
         match node:
             case ast.Name(id=name):
                 if any(name in scope for scope in self._scopes[1:]):
@@ -646,7 +646,7 @@ class Module(translate.Module):
 
 #: Types whose methods the runtime provides.
 OWNERS = (np.ndarray, str, bytes, list, dict, set, complex, re.Pattern, re.Match)
-#: Prefixes of names without a case → the reason.
+#: Reasons why names have no case, by the prefixes of the names.
 APART = {
     **dict.fromkeys(["pydantic"], "part of pydantic: test_page.py tests machine files"),
     **dict.fromkeys(["typing", "numpy.typing", "abc.", "collections.abc"], "for types only"),
@@ -672,8 +672,8 @@ LAST_PLACES = {
     "powers": 2,
     "number_powers": 2,
 }
-#: Cases that sum in another order or with other roundings → number of factors in their terms. Their
-#: error may be one rounding of the sum of magnitudes per term.
+#: Number of factors in each term, for cases that sum in another order or with other roundings. The
+#: allowed error is one rounding of the sum of magnitudes per term.
 SUMS = {
     **dict.fromkeys(["total", "mean", "total_of_rows", "complex_totals", "splines"], 1),
     **dict.fromkeys(["deviations", "deviation_of_the_known", "sums_of_the_known"], 1),
@@ -736,7 +736,7 @@ def differ(js, py, places, bound):
 
 
 def off(js, py, places, bound):
-    """Whether a number differs from Python's: in any bit, or by more than the allowance."""
+    """Whether a number differs from Python's in any bit, or by more than the allowed error."""
     if isinstance(py, complex):
         return any(off(a, b, places, bound) for a, b in ((js.real, py.real), (js.imag, py.imag)))
     if isinstance(py, int):  # NaN as an integer depends on the processor
@@ -747,7 +747,7 @@ def off(js, py, places, bound):
 
 
 def fault(node, name, args):
-    """Return None if Node.js agrees in a case, "refused", or the two results."""
+    """Return None if Node.js agrees, "refused" if it refuses the case, else both results."""
     answer = node(name, args)
     error = expected = None
     try:

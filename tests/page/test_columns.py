@@ -1,4 +1,4 @@
-"""Columns in a report: exact ones to the last bit, rounded ones within their noise."""
+"""Columns in a report: exact columns to the last bit, rounded columns within their noise."""
 
 import gzip
 

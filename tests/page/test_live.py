@@ -15,7 +15,7 @@ from support.browser import Window
 DEMO = LOG.read_bytes()
 MACHINE = "servo-400w"
 
-#: A serial port that sends the bytes that a test puts into window.port.
+#: A serial port that sends the bytes that a test writes to window.port.
 PORT = """
     window.port = { pieces: [], closed: false };
     const port = {
@@ -40,7 +40,7 @@ PORT = """
 
 @pytest.fixture
 def served(browser):
-    """Return a function that opens the page of `fluxobs live`; check that it requests only that."""
+    """Return a function that opens the page of `fluxobs live`; check that it requests no others."""
     from fluxobs.live.serve import Server
 
     opened = []

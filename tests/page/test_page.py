@@ -22,7 +22,7 @@ _SPEC = importlib.util.spec_from_file_location(
 corpus = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(corpus)
 
-#: Formats that the page reads; for others its message gives a remedy.
+#: Formats that the page reads; for other formats, the page's message gives a remedy.
 READ = (".csv", ".txt", ".lvm", ".dat", ".gz", ".npz", ".npy")
 #: Columns for plots that are not columns of files.
 DRAWN = {"innovation", "adapting", "raw", "truth"}
@@ -75,7 +75,7 @@ def equal(opened_page, expected, rounding=ROUNDING):
 
 @pytest.fixture(scope="module")
 def shared(browser, tmp_path_factory):
-    """One page for all logs of the corpus, since opening it takes longer than estimating."""
+    """One page for all logs of the corpus, since opening a page takes longer than estimating."""
     path = tmp_path_factory.mktemp("page") / "page.html"
     path.write_text(built("page.html"), encoding="utf-8")
     context = browser.new_context(offline=True)
@@ -86,7 +86,7 @@ def shared(browser, tmp_path_factory):
     context.close()
 
 
-#: One log of each reader; the others are slow.
+#: One log for each reader; other logs are slow.
 FEW_LOGS = {"plain.csv", "german-excel.csv", "simulink-inspector.csv", "moteus.npz"}
 
 
@@ -130,7 +130,7 @@ def test_the_demo_is_one_click(page):
 
 
 def test_values_at_the_cursor_belong_to_one_row(page):
-    """Also where rows are thinned for drawing, and after a zoom."""
+    """This also holds where rows are thinned for drawing, and after a zoom."""
     opened_page = page(viewport={"width": 1200, "height": 900})
     opened_page.page.click("#demo")
     opened_page.page.wait_for_selector("body[data-done]")

@@ -77,7 +77,7 @@ def test_an_immersed_run_is_shown_too(window, tmp_path):
     "evil",
     [
         "</script><script>document.body.dataset.evil = 1</script>",
-        "<!--<script>",  # after this a script element would end elsewhere
+        "<!--<script>",  # after this text, a script element would end elsewhere
         "{{blocks}} {{data}}",  # the template's placeholders
     ],
 )

@@ -1,1 +1,1 @@
-"""Foundations for all rooms: input, output, names, processes and pictures."""
+"""Foundations for all packages: input, output, names, processes and pictures."""

@@ -1,4 +1,4 @@
-"""HTML elements for notebooks, and whole documents made of them."""
+"""HTML elements for notebooks, and whole documents made of these elements."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def escape(text: str, quote: bool = True) -> str:
-    """Escape plain text for HTML; show control characters and invalid ones as codes."""
+    """Escape plain text for HTML; show control characters and invalid characters as codes."""
     return _escaped(visible(text), quote)
 
 
@@ -24,7 +24,7 @@ def paragraph(text: str) -> str:
 
 
 def bullets(texts: Iterable[str]) -> str:
-    """Return a bullet list of plain texts; an empty string without texts."""
+    """Return a bullet list of plain texts, or an empty string if there are no texts."""
     items = "".join(f"<li>{escape(text)}</li>" for text in texts)
     return f"<ul>{items}</ul>" if items else ""
 
@@ -60,7 +60,7 @@ def image(png: bytes, alt_text: str) -> str:
 
 
 def from_markdown(text: str, folder: Path) -> str:
-    """Convert Markdown with tables to HTML; embed its pictures, PNG files in `folder`."""
+    """Convert Markdown with tables to HTML; embed the pictures, which are PNG files in `folder`."""
     from markdown_it import MarkdownIt
 
     renderer = MarkdownIt("commonmark", {"html": False}).enable("table")

@@ -9,23 +9,24 @@ from typing import Any
 
 from ..errors import FluxobsError
 
-#: Largest TOML file [bytes]. The shipped ones have three thousand; the time to parse a dotted key
-#: grows with the square of its length.
+#: Largest TOML file [bytes]. Shipped files have three thousand bytes; the time to parse a dotted
+#: key grows with the square of the key's length.
 MAX_TOML_BYTES = 1 << 15
 #: Deepest nesting of tables and lists.
 MAX_DEPTH = 50
-#: Libraries unpack a block of a file without a limit; zlib can expand it a thousandfold. A packed
-#: block larger than this [bytes] is first unpacked here, up to the size that the file states.
+#: Libraries unpack a block of a file without a limit; zlib can expand a block a thousandfold. A
+#: packed block larger than this [bytes] is first unpacked here, up to the size that the file
+#: states.
 PACKED_BLOCK = 1 << 20
-#: Largest unpacked block [bytes]; a block is unpacked whole. Usual ones have a few million.
+#: Largest unpacked block [bytes]; a block is unpacked whole. Usual blocks have a few million bytes.
 BLOCK = 1 << 28
-#: A file may unpack to this many bytes, or to this many times its size if that is more. Rows with
-#: increasing time shrink to a twentieth, rows that repeat to a thousandth.
+#: A file may unpack to this many bytes, or to this many times its size if that is more. Packing
+#: shrinks rows with increasing time to a twentieth, repeated rows to a thousandth.
 PLENTY, RATIO = 1 << 28, 200
 
 
 def most_unpacked(path: Path) -> int:
-    """Return the most bytes that a file may unpack to; a decompression bomb exceeds it."""
+    """Return the most bytes that a file may unpack to; a decompression bomb exceeds this limit."""
     return max(PLENTY, RATIO * path.stat().st_size)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 def lock(descriptor: int) -> bool:
     """Lock a file until its descriptor is closed or the process ends.
 
-    Returns False if another process holds the lock. Where locks do not exist (Windows, some network
-    file systems), returns True.
+    Returns False if another process holds the lock. True where locks do not exist (Windows, some
+    network file systems).
     """
     try:
         import fcntl

@@ -49,7 +49,7 @@ def make_folder(path: str | Path, result: str | None = None, force: bool = True)
 
 
 def check_new(path: Path, endings: Sequence[str], force: bool, option: str = "--out") -> None:
-    """Raise FluxobsError if the file has another ending, no folder, or exists without `force`."""
+    """Raise FluxobsError for a wrong ending, no folder, or an existing file without `force`."""
     if path.suffix.lower() not in endings:
         choice = f"{', '.join(endings[:-1])} or {endings[-1]}" if endings[1:] else endings[0]
         raise FluxobsError(f"{path}: {option} must end in {choice}")
@@ -61,7 +61,7 @@ def check_new(path: Path, endings: Sequence[str], force: bool, option: str = "--
 def check_out(out: str | Path, log: Path, force: bool = False) -> Path:
     """Return the path of an output table; raise FluxobsError if it must not be written.
 
-    It must be .parquet or .csv, differ from the log, and be new unless `force` is true.
+    The table must be .parquet or .csv, differ from the log, and be new unless `force` is true.
     """
     out = Path(out)
     if out.exists() and log.exists() and out.samefile(log):
@@ -126,7 +126,7 @@ def claimed(out: Path) -> Iterator[IO[bytes]]:
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
     while True:
         _remove_stale(temporary, out)
-        with suppress(FileExistsError):  # another run was faster: try again
+        with suppress(FileExistsError):  # another run created the file first: try again
             handle = os.fdopen(os.open(temporary, flags, 0o666), "wb")
             if lock(handle.fileno()) and is_at(handle.fileno(), temporary):
                 break
@@ -151,11 +151,11 @@ def _remove_stale(temporary: Path, out: Path) -> None:
     FluxobsError
         The run that writes the file is still running.
     """
-    if os.name == "nt" or temporary.is_symlink():  # Windows refuses if it is open
+    if os.name == "nt" or temporary.is_symlink():  # Windows refuses if the file is open
         temporary.unlink(missing_ok=True)
         return
     try:
-        # Non-blocking: it may be a pipe.
+        # Open without blocking, since the file may be a pipe.
         descriptor = os.open(temporary, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except FileNotFoundError:
         return
@@ -169,7 +169,9 @@ def _remove_stale(temporary: Path, out: Path) -> None:
 
 
 def _busy(out: Path) -> FluxobsError:
-    return FluxobsError(f"{out}: another run is writing it; wait until it ends, or stop it")
+    return FluxobsError(
+        f"{out}: another run is writing this file; wait until the run ends, or stop the run"
+    )
 
 
 def write_text(out: Path, text: str) -> None:
@@ -182,13 +184,13 @@ def write_text(out: Path, text: str) -> None:
 def write_rows(
     out: Path, schema: Schema, frames: Iterator[pl.DataFrame], force: bool = True
 ) -> None:
-    """Stream frames into .parquet or .csv; `out` appears only when all are written.
+    """Stream frames into .parquet or .csv; `out` appears only when all frames are written.
 
     Raises
     ------
     FluxobsError
-        Raised while making a frame; or the file cannot be written, another run is writing it, or
-        it has appeared meanwhile and `force` is false.
+        A frame raised it, the file cannot be written, another run is writing the file, or the file
+        has appeared meanwhile and `force` is false.
     """
     failure: FluxobsError | None = None
     stop = threading.Event()
@@ -200,7 +202,7 @@ def write_rows(
                 yield frame
                 if stop.is_set():
                     return
-        except FluxobsError as problem:  # Polars would wrap it; raised below
+        except FluxobsError as problem:  # Polars would wrap the error; it is raised below
             failure = problem
 
     lazy = register_io_source(lambda columns, predicate, n, size: guarded_frames(), schema=schema)
@@ -214,7 +216,7 @@ def write_rows(
 
 
 def _sink(lazy: pl.LazyFrame, file: IO[bytes], suffix: str, stop: threading.Event) -> None:
-    """Write in another thread; an interrupt then reaches this one and stops the writing."""
+    """Write in another thread; an interrupt then reaches this thread and stops the writing."""
     with ThreadPoolExecutor(max_workers=1) as writer:
         if suffix == ".csv":
             job = writer.submit(lazy.sink_csv, file)
@@ -234,7 +236,7 @@ def _sink(lazy: pl.LazyFrame, file: IO[bytes], suffix: str, stop: threading.Even
 
 
 def ahead(items: Iterator[Item]) -> Iterator[Item]:
-    """Yield the items; read the next one while the caller works on the current one."""
+    """Yield the items; read the next item while the caller works on the current item."""
     with ThreadPoolExecutor(max_workers=1) as reader:
         upcoming = reader.submit(next, items, None)
         while (item := upcoming.result()) is not None:

@@ -1,4 +1,4 @@
-"""Colours, style and files of all pictures. Matplotlib is loaded when the first is drawn."""
+"""Colours, style and files of all pictures. The first picture drawn loads Matplotlib."""
 
 from __future__ import annotations
 
@@ -61,5 +61,5 @@ def check_path(path: Path) -> None:
 
 
 def legend(axes: Axes, **options: Any) -> None:
-    """Place the legend above the axes at the right, where it hides no data."""
+    """Place the legend above the axes at the right, where the legend hides no data."""
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=2, **options)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-#: Control characters, which command a terminal; not line ends and tabs.
+#: Control characters, which command a terminal, except line ends and tabs.
 _CONTROLS = {n: f"\\x{n:02x}" for n in (*range(32), *range(127, 160)) if chr(n) not in "\n\t"}
-#: Surrogates, which cannot be encoded or drawn. Python's surrogateescape puts some of them in place
-#: of bytes of a file name that are not UTF-8.
+#: Surrogates, which cannot be encoded or drawn. Python's surrogateescape replaces bytes of a file
+#: name that are not UTF-8 by surrogates.
 _SURROGATES = {n: f"\\u{n:04x}" for n in range(0xD800, 0xE000)}
 _BYTES = {0xDC00 + n: f"\\x{n:02x}" for n in range(0x80, 0x100)}
 _SHOWN = _CONTROLS | _SURROGATES | _BYTES

@@ -8,7 +8,7 @@ from ..errors import FluxobsError
 
 
 def beside(folder: Path, name: str, field: str) -> Path:
-    """Return the path of a file that a file in `folder` names: in the folder, or below it.
+    """Return the path of a file named in a file of `folder`, which must be in or below `folder`.
 
     A received file must not make the program read the rest of the computer.
 
@@ -20,11 +20,11 @@ def beside(folder: Path, name: str, field: str) -> Path:
     path = folder / name
     try:
         inside = path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError, ValueError):  # circular links, an invalid character
+    except (OSError, RuntimeError, ValueError):  # circular links or an invalid character
         raise FluxobsError(f"{field}: {name!r} is not a valid path") from None
     if not inside:
         raise FluxobsError(
             f"{field}: {name!r} is outside the folder {str(folder)!r}, where all named files "
-            f"must be; copy it there"
+            f"must be; copy the file there"
         )
     return path

@@ -1,4 +1,4 @@
-"""Refuse links in a folder of results, which may lead out of it."""
+"""Refuse links in a folder of results, because links may lead out of the folder."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ def refuse_link(path: Path) -> None:
     A received folder may contain links to other files of the user.
     """
     if path.is_symlink():
-        raise FluxobsError(f"{path}: is a link; results are not written through links, remove it")
+        raise FluxobsError(
+            f"{path}: is a link; remove the link, results are not written through it"
+        )
 
 
 def open_own(path: Path) -> int:

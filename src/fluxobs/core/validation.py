@@ -17,7 +17,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Table(BaseModel):
-    """Table of a user's file: frozen; an unknown key raises an error that suggests a known one."""
+    """Immutable table of a user's file; for an unknown key, the error suggests a known key."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -46,7 +46,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
-    """Return one clause per problem. `what` needs the fields, e.g. "kind surface-pmsm"."""
+    """Return one clause per problem. `what` names the owner of the fields: "kind surface-pmsm"."""
     fields = list(fields)
     clauses = []
     for problem in error.errors():

@@ -1,4 +1,4 @@
-"""Parameters as bytes for fo_unpack: another motor without reflashing."""
+"""Parameters as bytes for fo_unpack, so that a drive changes its motor without reflashing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .. import _core
 from ..observers import AdaptiveObserver
 from .header import Exported, plain, std_of
 
-#: Kind of the observer, and flags of what it needs, as in firmware/fluxobs_keep.c.
+#: Kind of the observer, and flags of the features it needs, as in firmware/fluxobs_keep.c.
 PLAIN, ADAPTIVE = 1, 2
 ASYMMETRY, HELD, MAP = 1, 2, 4
 
@@ -20,7 +20,7 @@ ASYMMETRY, HELD, MAP = 1, 2, 4
 def blob(observer: Exported) -> bytes:
     """Return the bytes that fo_pack or fo_adaptive_pack writes for an export of this observer.
 
-    They do not contain the flux map.
+    These bytes do not contain the flux map.
     """
     single = plain(observer).precision == "single"
     numbers = _flatten(plain(observer).parameters())

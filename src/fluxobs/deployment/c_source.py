@@ -57,7 +57,7 @@ def table(rows: Iterable[Iterable[float]], precision: Precision) -> str:
 def inert(text: str) -> str:
     """Return a user's text with special characters replaced, safe anywhere in an export.
 
-    It may be put into a comment in C, into Markdown, XML, JSON or a script.
+    The text may be part of a C comment, of Markdown, XML, JSON or a script.
 
     Examples
     --------

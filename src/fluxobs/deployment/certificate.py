@@ -26,7 +26,7 @@ def certificate(core: Core, form: str, check: str, compared: Sequence[dict[str, 
     check : str
         Command that compares the export with the expected outputs.
     compared : sequence of dict
-        Comparisons made while it was written: what, with what, rows, number that differ.
+        Comparisons made during the export. Each names both sides, the rows and the differing rows.
     """
     samples = inputs(core.record)
     kinds: dict[Precision, str] = {"single": "<f4", "double": "<f8"}

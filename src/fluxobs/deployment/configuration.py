@@ -11,7 +11,7 @@ from .header import Exported, plain
 
 
 def configuration_files(prefix: str, observer: Exported) -> dict[str, str]:
-    """Return header and source, file name → text."""
+    """Return the texts of header and source, by file name."""
     adaptive = isinstance(observer, AdaptiveObserver)
     include = "fluxobs_adaptive.h" if adaptive else "fluxobs.h"
     fields = dict(plain(observer).configuration())

@@ -17,7 +17,7 @@ from .header import Exported, isotropic, parameter_files, plain
 from .vectors import run
 
 SOURCES = ("fluxobs_real.h", "fluxobs.h", "fluxobs_internal.h", "fluxobs_algebra.h", "fluxobs.c")
-#: Only for a machine with a flux map.
+#: Sources needed only for a machine with a flux map.
 MAP_SOURCES = ("fluxobs_map.h", "fluxobs_map.c")
 ADAPTIVE_SOURCES = (
     *SOURCES,
@@ -27,7 +27,8 @@ ADAPTIVE_SOURCES = (
         for kind in ("h", "c")
     ),
 )
-#: For firmware at run time: configuration, seeds, changed parameters, snapshots over a power cycle.
+#: Sources for use at run time: configuration, seeds, changed parameters, snapshots over a power
+#: cycle.
 RUNTIME_SOURCES = (
     *(
         f"fluxobs_{name}.{kind}"
@@ -36,17 +37,17 @@ RUNTIME_SOURCES = (
     ),
     "fluxobs.hpp",
 )
-#: Set to 0 in an export of the plain observer alone.
+#: Set to 0 if an export contains only the plain observer.
 ADAPTIVE = "#define FO_ADAPTIVE 1"
-#: Set to 0 if the asymmetry is not an unknown: saves memory and time, changes no number.
+#: Set to 0 if the asymmetry is not an unknown, to save memory and time; no number changes.
 ASYMMETRIC = "#define FO_ASYMMETRIC 1"
-#: Changed for a machine whose matrices are multiples of the identity, and where no voltage is held,
-#: for the same reasons.
+#: To save memory and time, changed if the machine's matrices are multiples of the identity, or if
+#: no voltage is held.
 ISOTROPIC, HELD = "#define FO_ISOTROPIC 0", "#define FO_HELD 1"
-#: Set to 0 if the machine needs no flux map, for the same reasons.
+#: Set to 0 if the machine needs no flux map, to save memory and time.
 MAPPED = "#define FO_MAPPED 1"
-#: Set to 1 so that the sources themselves choose single precision: build systems such as the
-#: Arduino IDE have no compiler options for a library.
+#: Set to 1 so that the sources themselves choose single precision, because build systems such as
+#: the Arduino IDE have no compiler options for a library.
 DOUBLE = "#define FO_SINGLE 0"
 
 
@@ -65,8 +66,8 @@ class Core:
     version : str
         Version of the library.
     sources, runtime, parameters : dict of str
-        C, file name → text: sources common to all machines, sources for firmware only, and the
-        parameters of this machine.
+        Texts of C files, by file name: sources common to all machines, sources for firmware only,
+        and the parameters of this machine.
     licence : str
     content : str
         Hash of sources and parameters.
@@ -95,7 +96,7 @@ class Core:
 
     @property
     def plain(self) -> LeastSquaresObserver:
-        """The plain observer, or the one inside the adaptive observer."""
+        """The plain observer, which may be inside the adaptive observer."""
         return plain(self.single)
 
     @property
@@ -105,14 +106,14 @@ class Core:
 
     @property
     def code(self) -> dict[str, str]:
-        """Sources and parameters in C: file name → text."""
+        """Texts of sources and parameters in C, by file name."""
         return joined(self.sources, self.parameters)
 
 
 def in_double(core: Core) -> Core:
     """Return a core whose sources choose double precision without a compiler option.
 
-    A host's build may not support definitions: FMI 2.0 has no place for them.
+    A host's build may not support compiler definitions; FMI 2.0 has no place for them.
     """
     sources = dict(core.sources)
     name, text = "fluxobs_real.h", sources["fluxobs_real.h"]

@@ -74,21 +74,22 @@ def export(
         Exponential memory of the least squares [s], 10 to 4000 steps; default 0.03 s, or less where
         L/R is short (see :meth:`RotatingMachine.memory_for`).
     unknowns : str or sequence of str
-        Constant or slow unknowns: "drift" alone, or with some of "resistance", "inverter" and
-        "asymmetry" ("auto": all), which exports the adaptive observer.
+        Constant or slow unknowns. "drift" alone exports the plain observer; "drift" with some of
+        "resistance", "inverter" and "asymmetry" ("auto": all) exports the adaptive observer.
     current_noise, drift_prior : float, optional
-        As for :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints the
-        values that it used for a log.
+        Arguments of :meth:`LeastSquaresObserver.for_machine` [A], [V]; `fluxobs estimate` prints
+        the values that it used for a log.
     priors : mapping of {"resistance", "inverter", "asymmetry", "psi_f"} to float, optional
         Standard deviations of the machine's values, for the adaptive observer [Ω], [V], [Wb].
     update_every : int
-        Interrupts per step of the observer; volt-seconds are summed in between. More interrupts
+        Interrupts per step of the observer; volt-seconds are summed between steps. More interrupts
         per step cost less computing time but average the noise over fewer samples.
     prefix : str
         Prefix of the generated names, for several machines in one firmware.
     form : {"c", "arduino", "fmu", "wasm", "rust"}
-        Form of the export around the same sources, parameters and record: C99 for any firmware, an
-        Arduino library, simulation units, a WebAssembly module, a Rust crate.
+        Form of the export: C99 for any firmware, an Arduino library, simulation units, a
+        WebAssembly module or a Rust crate. All forms contain the same sources, parameters and
+        record.
     force : bool
         Replace an earlier export if none of its files has been changed.
 

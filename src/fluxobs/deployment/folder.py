@@ -14,7 +14,7 @@ from ..core.output import claimed
 from ..core.symlinks import refuse_link
 from ..errors import FluxobsError
 
-#: Lists the files written; a later export may replace these and no others.
+#: File that lists the exported files; a later export may replace only these files.
 MANIFEST = "MANIFEST"
 
 
@@ -22,12 +22,12 @@ Content = TypeVar("Content")
 
 
 def joined(*groups: Mapping[str, Content]) -> dict[str, Content]:
-    """Return the files of all groups, relative path → content.
+    """Return the contents of all groups of files, by relative path.
 
     Raises
     ------
     FluxobsError
-        Two files have the same name, regardless of case: some file systems ignore it.
+        Two files have the same name apart from case, which some file systems ignore.
     """
     files: dict[str, Content] = {}
     names: set[str] = set()
@@ -60,17 +60,17 @@ def _check_replaceable(folder: Path, force: bool) -> None:
         path = _within(folder, name)
         if _exists(path) and (path.is_symlink() or sha256(path.read_bytes()) not in digests):
             raise FluxobsError(
-                f"{path}: changed since it was exported; move it away, then export again"
+                f"{path}: changed since the export; move the file away, then export again"
             )
 
 
 def _within(folder: Path, name: str) -> Path:
-    """Return the path of a file in the folder; refuse links on the way, which could lead out."""
+    """Return the path of a file in the folder; refuse links, which may lead out of the folder."""
     path = folder / name
     for parent in (folder / above for above in Path(name).parents[:-1]):
         refuse_link(parent)
         if _exists(parent) and not parent.is_dir():
-            raise FluxobsError(f"{parent}: is not a folder; move it away")
+            raise FluxobsError(f"{parent}: is not a folder; move the file away")
     return path
 
 
@@ -84,12 +84,12 @@ def sha256(content: bytes) -> str:
 
 
 def _manifest(folder: Path) -> dict[str, set[str]]:
-    """Return the files of an earlier export: name → SHA-256 (two after an interruption)."""
+    """Return the SHA-256 of each file of an earlier export (two values after an interruption)."""
     path = folder / MANIFEST
     refuse_link(path)
     if not path.exists():
         raise FluxobsError(
-            f"{folder}: is not an earlier export, so it is not overwritten; give another name"
+            f"{folder}: is not an earlier export and is not overwritten; give another name"
         )
     digests: dict[str, set[str]] = {}
     for line in path.read_bytes().decode(errors="replace").split("\n"):
@@ -107,7 +107,7 @@ def _listing(contents: Mapping[str, bytes]) -> bytes:
 
 @contextmanager
 def _scratch(folder: Path) -> Iterator[Path]:
-    """Yield a scratch folder beside `folder` for this run; remove one left by a killed run."""
+    """Yield a scratch folder beside `folder`; first remove the scratch folder of a killed run."""
     scratch = folder.with_name(f".{folder.name}.unfinished")
     with claimed(folder):
         try:
@@ -160,7 +160,7 @@ def _write(folder: Path, files: Mapping[str, str | bytes]) -> None:
         for name in {**contents, **old}:
             path = _within(folder, name)
             if name not in old and _exists(path):
-                raise FluxobsError(f"{path}: is not part of the earlier export; move it away")
+                raise FluxobsError(f"{path}: is not part of the earlier export; move the file away")
         # While files are being replaced, the manifest lists both versions.
         both = scratch / MANIFEST
         both.write_bytes((folder / MANIFEST).read_bytes() + _listing(contents))
@@ -171,6 +171,6 @@ def _write(folder: Path, files: Mapping[str, str | bytes]) -> None:
         for name in old.keys() - contents.keys():
             (folder / name).unlink(missing_ok=True)
             for above in Path(name).parents[:-1]:
-                with suppress(OSError):  # not empty: it holds files of others
+                with suppress(OSError):  # not empty: it holds other files
                     (folder / above).rmdir()
         os.replace(new / MANIFEST, folder / MANIFEST)

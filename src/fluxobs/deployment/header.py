@@ -14,22 +14,22 @@ from ..machines import FluxPoints, RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
 from .c_source import PRECISIONS, Precision, inert, initializer, literal
 
-#: A plain or adaptive observer in one precision.
+#: Type of a plain or adaptive observer, in one precision.
 Exported = LeastSquaresObserver | AdaptiveObserver
 
 
-#: Index of the asymmetry among the unknowns (FO_ASYMMETRY); one more unknown follows it.
+#: Index of the asymmetry among the unknowns (FO_ASYMMETRY); one unknown follows the asymmetry.
 ASYMMETRY_PLACE = 8
 
 
 def std_of(observer: AdaptiveObserver) -> list[float]:
-    """Return the prior standard deviations of an export; a known asymmetry is left out."""
+    """Return the prior standard deviations of an export, without that of a known asymmetry."""
     std: list[float] = observer.parameters()["std"]
     return std if observer.asymmetry_std > 0 else [*std[:ASYMMETRY_PLACE], std[-1]]
 
 
 def plain(observer: Exported) -> LeastSquaresObserver:
-    """Return the observer itself, or the plain observer inside the adaptive one."""
+    """Return a plain observer itself, or the plain observer inside an adaptive observer."""
     return observer.plain if isinstance(observer, AdaptiveObserver) else observer
 
 
@@ -53,7 +53,7 @@ def _adaptive_settings(o: AdaptiveObserver) -> dict[str, str]:
 
 
 def settings(observer: Exported, update_every: int) -> dict[str, str]:
-    """Return the settings of the observer in SI units, name → text."""
+    """Return the settings of the observer in SI units as texts, by name."""
     o, more, unknowns = plain(observer), {}, ["drift"]
     if isinstance(observer, AdaptiveObserver):
         more = _adaptive_settings(observer)
@@ -75,7 +75,7 @@ def settings(observer: Exported, update_every: int) -> dict[str, str]:
 
 
 def bases(exported: Exported) -> dict[str, str]:
-    """Return the bases of the per-unit system, name → text."""
+    """Return the bases of the per-unit system as texts, by name."""
     observer = plain(exported)
     psi, memory = observer.flux_base, observer.memory
     return {
@@ -99,9 +99,9 @@ def parameter_files(
     sources: tuple[str, ...],
     update_every: int,
 ) -> tuple[str, dict[str, str]]:
-    """Return the hash of the content, and header and source of the parameters, name → text.
+    """Return the hash of the content, and the texts of the parameters' header and source.
 
-    `observer` holds one for each precision; `sources` are the C sources that they belong to.
+    `observer` holds an observer for each precision; `sources` are the C sources for both.
     """
     single = observer["single"]
     facts = {
@@ -222,8 +222,9 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
         )
 
     inner = lines(plain(observer).parameters(), _core.meanings)
-    # Sources may lack the flux map if their machine needs none (core.py), but these parameters may
-    # also be compiled with sources of another machine, which have it.
+    # Sources of this machine lack the flux map if the machine needs none (core.py). These
+    # parameters may also be compiled with the sources of another machine, which may contain the
+    # flux map.
     flux_map = "NULL" if plain(observer).flux_map is None else f"&{prefix}_map"
     inner += f"\n#if FO_MAPPED\n    {flux_map}, /* flux over current */\n#endif"
     if not isinstance(observer, AdaptiveObserver):
@@ -238,7 +239,7 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
 
 
 def _needs(observer: Exported) -> str:
-    """Return #error lines against sources of another export that lack what this machine needs."""
+    """Return #error lines that refuse sources of another export without the needed features."""
     inner = plain(observer)
     asymmetric = isinstance(observer, AdaptiveObserver) and observer.asymmetry_std > 0
     needed = {
@@ -256,7 +257,7 @@ def _needs(observer: Exported) -> str:
 
 
 def parameters(machine: RotatingMachine) -> dict[str, str]:
-    """Return the parameters of the machine with units, name → text."""
+    """Return the parameters of the machine with units as texts, by name."""
     units = {"R_s": "ohm", "n_p": "pole pairs", "psi_f": "Wb", "rated_current": "A"}
     units |= {"inverter_voltage": "V", "inverter_current": "A"}
     units |= {"R_R": "ohm", "psi_R": "Wb", "rated_speed": "rad/s"}

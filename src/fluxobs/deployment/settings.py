@@ -27,7 +27,7 @@ def check_prefix(prefix: str) -> None:
     if reason is not None:
         nearest = identifier(prefix)
         nearest = "motor" if why_refused(nearest) else nearest
-        raise FluxobsError(f"prefix {prefix!r} cannot begin names in C: {reason}; {nearest!r} can")
+        raise FluxobsError(f"prefix {prefix!r} cannot begin names in C: {reason}; use {nearest!r}")
 
 
 def check_machine(
@@ -48,8 +48,8 @@ def check_machine(
     if machine.inverter_voltage and not adapts(unknowns):
         raise FluxobsError(
             "inverter_voltage in the machine file: the observer for the drift alone does not "
-            "compensate the inverter. Compensate it in the drive and remove it from the file, or "
-            "export with unknowns drift,inverter"
+            "compensate the inverter. Compensate the inverter in the drive and remove "
+            "inverter_voltage from the file, or export with unknowns drift,inverter"
         )
     missing = ["psi_f"] if machine.magnet_flux is None else []
     missing += ["rated_current"] if machine.rated_current is None else []

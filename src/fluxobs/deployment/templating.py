@@ -1,4 +1,4 @@
-"""Templates: text with @placeholders@, and lines for some kinds of export only."""
+"""Templates: text with @placeholders@, and with lines for only some kinds of export."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def fill(core: Core, template: str, more: Mapping[str, str] | None = None) -> st
     folder = resources.files(__package__) / "templates"
     text = _variant((folder / template).read_text(encoding="utf-8"), core)
     values = _placeholders(core) | dict(more or {})
-    # One pass: placeholders within a value are not replaced.
+    # All placeholders are replaced in one pass; placeholders within a value are kept.
     return re.sub(r"@(\w+)@", lambda match: values.get(match[1], match[0]), text)
 
 
 def slowest_speed(core: Core) -> float:
-    """Return the electrical speed above which voltage errors leave the position valid [rad/s]."""
+    """Return the electrical speed [rad/s] above which voltage errors leave the position valid."""
     return core.plain.drift_prior / (VOLTAGE_LIMIT * core.plain.flux_base)
 
 
@@ -75,7 +75,7 @@ def _placeholders(core: Core) -> dict[str, str]:
 
 
 def _variant(template: str, core: Core) -> str:
-    """Keep the lines for this observer: stepped every interrupt or every few, plain or adaptive."""
+    """Keep the lines for this observer: plain or adaptive, with one or more interrupts per step."""
     every = core.update_every
     marks = {"@every interrupt@": every == 1, "@every few@": every > 1}
     marks |= {"@when plain@": not core.adaptive, "@when adaptive@": core.adaptive}
@@ -101,7 +101,7 @@ def _outputs_table(machine: RotatingMachine, adaptive: bool) -> str:
     """Return the table of outputs as members of the C struct."""
     remarks = {"speed_e": f"; divide by {machine.n_p} for the shaft"}
     if machine.half_turn_ambiguous:
-        remarks["theta_e"] = "; the angle 180 degrees away fits as well"
+        remarks["theta_e"] = "; the opposite angle is equally possible"
     position = ".position" if adaptive else ""
     rows = [
         (

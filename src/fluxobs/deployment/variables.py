@@ -1,4 +1,4 @@
-"""Inputs and outputs of an exported observer, as hosts other than C name them."""
+"""Inputs and outputs of an exported observer, with their names in hosts other than C."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Variable:
     Attributes
     ----------
     name, unit, about : str
-        The unit of a ratio is empty.
+        Texts; a ratio has an empty unit.
     boolean : bool
     member : str
         Member of the estimate in C; empty for an input.
@@ -56,7 +56,7 @@ ADAPTIVE = (
     Variable(
         "theta_other",
         "rad",
-        "Second possible angle while two are possible",
+        "Second possible angle while the angle is ambiguous",
         member="theta_other",
     ),
     Variable("weight_other", "", "Weight of the second angle, 0 to 1/2", member="weight_other"),
@@ -67,7 +67,7 @@ ADAPTIVE = (
 
 
 def output_variables(core: Core) -> tuple[Variable, ...]:
-    """Return the outputs, those of the test vectors first and in their order."""
+    """Return the outputs, first those of the test vectors in the order of the vectors."""
     variables = []
     for output in outputs(Estimate):
         inner = "position." if core.adaptive and output.name != "psi_f" else ""

@@ -13,7 +13,7 @@ from ..simulation.closed_form.firmware_record import FirmwareRecord
 from .c_source import PRECISIONS, Precision, hex_float, table
 from .header import Exported, plain
 
-#: Samples per expected row: coprime to the cycle in which the observer distributes its work.
+#: Samples per expected row; coprime to the cycle over which the observer distributes its work.
 EVERY = 9
 
 
@@ -28,7 +28,7 @@ COLUMNS = tuple(
 
 
 def expected(estimate: Estimate) -> Array:
-    """Return all columns of an estimate, (rows, 12)."""
+    """Return all columns of an estimate; shape (rows, 12)."""
     columns = []
     for output in ORDER:
         value = np.asarray(getattr(estimate, output.name), float)
@@ -54,7 +54,7 @@ def checksum(samples: Array, rows: Array, precision: Precision) -> int:
 def gathered(observer: LeastSquaresObserver, record: FirmwareRecord, update_every: int) -> Array:
     """Return the volt-seconds [Wb] of each row, as fo_gather sums them for test/check.c.
 
-    The operations are those of the C code, in the observer's precision: sums are equal bit for bit.
+    The operations and the precision are those of the C code, so that sums are equal bit for bit.
     """
     real: Any = np.float32 if observer.precision == "single" else np.float64
     p: dict[str, Any] = {

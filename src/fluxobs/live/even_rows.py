@@ -16,7 +16,7 @@ class Spaced:
     Parameters
     ----------
     clock : Clock
-        Clock of the first rows. Its step and rounding apply to the whole stream.
+        Clock of the first rows, whose step and rounding apply to the whole stream.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Spaced:
         self._before: float | None = None  # time of the last row [s]
 
     def add(self, columns: Columns, t: Array) -> Columns:
-        """Return the next rows with missing ones filled in, and their times "t" [s]."""
+        """Return the next rows, with rows of NaN for missing samples, and their times "t" [s]."""
         if len(t) == 0:
             return columns | {"t": t}
         h = self.clock.sample_time
@@ -43,7 +43,7 @@ class Spaced:
 
 
 def _fill_missing(columns: Columns, start: float, t: Array, missing: NDArray[np.int64]) -> Columns:
-    """Insert rows of NaN where samples are missing; `start` is the time of the row before."""
+    """Insert rows of NaN where samples are missing; `start` is the time of the previous row."""
     if not missing.any():
         return columns | {"t": t}
     at = np.arange(len(t)) + np.cumsum(missing)

@@ -38,7 +38,7 @@ HEADER, SAMPLES = ord("H"), ord("S")
 _FRAMING = 8  # bytes of a frame besides its payload
 #: Modulus of the sample numbers.
 WRAP = 1 << 16
-#: Samples from which a log is opened: they determine its columns and scales.
+#: Samples from which a log is opened; they determine the log's columns and scales.
 HEAD_ROWS = 2000
 
 
@@ -71,7 +71,7 @@ class Frames:
     def feed(self, data: bytes, last: bool = False) -> list[StreamRows]:
         """Add received bytes; return the rows that they complete.
 
-        Rows are held back until there are HEAD_ROWS of them or the stream ends.
+        Rows are held back until there are HEAD_ROWS rows or the stream ends.
         """
         samples: list[bytes] = []
         numbers: list[int] = []
@@ -104,7 +104,7 @@ class Frames:
         while True:
             mark = data.find(MARK, at)
             if mark < 0:
-                at = max(at, len(data) - 1)  # the last byte may begin a mark
+                at = max(at, len(data) - 1)  # the last byte may be the first byte of MARK
                 break
             at = mark
             if len(data) < at + 4:
@@ -172,7 +172,7 @@ class Frames:
             yield {name: values[begin:end] for name, values in first.items()}
 
     def recorded(self, rows: Ordered, time: str | None, first: bool) -> bytes:
-        """Return rows as lines of a recording, with the names above if they are the first.
+        """Return rows as lines of a recording; above the first rows, add the names.
 
         Nine digits hold a four-byte float exactly.
         """

@@ -8,15 +8,16 @@ from ..logs.formats.text.cells import is_number, split
 from ..logs.formats.text.source import BETWEEN
 from ..logs.formats.text.structure import is_alike, kinds_of, row_kind
 
-#: Control characters: they come from a line that was cut or disturbed.
+#: Control characters, which come from a truncated or disturbed line.
 _CONTROL = "".join([chr(code) for code in range(32) if chr(code) not in "\t\r"])
 
 
 def names_at(lines: Sequence[bytes], named: bool) -> int | None:
     """Return the line at which to begin, among the first lines of a stream.
 
-    It is 0 if names or a preamble are above the rows, or if the columns are `named` already. Else
-    it is the line of the first names further down, since a sender may repeat them; None without.
+    This is line 0 if names or a preamble are above the rows, or if the columns are `named` already.
+    Otherwise it is the first line with names, since a sender may repeat the names; without such a
+    line, return None.
     """
     texts = [_text(line) for line in lines]
     delimiter, usual = row_kind(texts, [])
@@ -35,7 +36,7 @@ def names_at(lines: Sequence[bytes], named: bool) -> int | None:
 def whole(lines: Sequence[bytes]) -> tuple[list[bytes], int]:
     """Return the first lines without malformed rows, and the number of malformed rows.
 
-    Names, units and the lines above them stay.
+    Names, units and the lines above the names are kept.
     """
     texts = [_text(line) for line in lines]
     delimiter, usual = row_kind(texts, [])
@@ -64,7 +65,7 @@ def _text(line: bytes) -> str:
 
 
 def _may_be_names(text: str, delimiter: str) -> bool:
-    """Whether a line above the rows may be a header or preamble, not a row that was cut."""
+    """Whether a line above the rows may be a header or preamble and not a truncated row."""
     cells = [cell for cell in split(text, delimiter) if cell]
     numbers = sum(map(is_number, cells))
     return len(cells) > 0 and 2 * numbers < len(cells) and not set(text) & set(_CONTROL)

@@ -21,9 +21,9 @@ from .rows import StreamRows
 if TYPE_CHECKING:
     from .reorder import Ordered
 
-#: Lines from which a log is opened: they determine its columns.
+#: Lines from which a log is opened; they determine the log's columns.
 HEAD_LINES = 2000
-#: Length that no line reaches [bytes].
+#: Every line is shorter than this [bytes].
 _LONGEST = 1 << 20
 MARKS = tuple(mark.encode() for mark in BETWEEN)
 #: Start of a line that may hold names.
@@ -50,7 +50,7 @@ class Lines:
         self.head, self.header = head, header
         self.damaged = 0
         self._unnamed = 0  # lines searched without finding names
-        self._returns = False  # whether lines end in \r alone
+        self._returns = False  # whether lines end in \r without \n
         self._above = b""
         self._rest = b""
         self._table: TextTable | None = None
@@ -98,23 +98,23 @@ class Lines:
         return [self._parse(self._blank_malformed(block))]
 
     def _normalize_ends(self, data: bytes, last: bool) -> bytes:
-        """Return bytes whose lines end in a line feed; with `last`, the last line too."""
+        """Return bytes whose lines end in a line feed; with `last`, also the last line."""
         if self._table is None and b"\n" not in data and data.count(b"\r") > 1:
             self._returns = True
         if self._returns:
             data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         if len(data) > _LONGEST and b"\n" not in data:
             raise RecordError(
-                f"{len(data)} bytes came without the end of a line; send lines of CSV, each ending "
-                f"in a line feed, or the frames of an export's telemetry"
+                f"{len(data)} bytes arrived without the end of a line; send lines of CSV, each "
+                f"ending in a line feed, or the frames of an export's telemetry"
             )
         return data + b"\n" if last and data and not data.endswith(b"\n") else data
 
     def _begin(self, lines: list[bytes], last: bool) -> bytes:
         """Detect the structure of the first lines; return the rows among them.
 
-        If no names have been found yet, or only further down, return the lines from which to
-        continue.
+        If there are no names yet, or the names are below the first line, return the lines from
+        which to continue.
         """
         at = first_lines.names_at(lines, self.header is not None)
         if not last and (at is None or at > 0):
@@ -155,7 +155,7 @@ class Lines:
             yield path
 
     def recorded(self, rows: Ordered, time: str | None, first: bool) -> bytes:
-        """Return rows as lines of a recording, with the header above if they are the first.
+        """Return rows as lines of a recording; above the first rows, add the header.
 
         Lines stay as received, except where a reader of files would refuse them: cells that are not
         numbers become empty, and time continues where the sender restarted.
@@ -218,7 +218,7 @@ class Lines:
             )
 
     def _blank_malformed(self, block: bytes) -> bytes:
-        """Replace malformed lines by empty rows: without a time column, rows count time."""
+        """Replace malformed lines by empty rows, since the time may be the number of rows."""
         structure = self._structure
         width, lines = len(structure.names), []
         for raw in block.split(b"\n")[:-1]:
@@ -230,7 +230,7 @@ class Lines:
 
 
 def pieces(rows: int) -> list[tuple[int, int]]:
-    """Return begin and end of halves, quarters and eighths of the first rows, the later ones first.
+    """Return begin and end of halves, quarters and eighths of the first rows, later parts first.
 
     If some of the first rows are out of order, one of these parts may still be in order.
     """

@@ -1,4 +1,4 @@
-"""Recording of a stream; received lines are in the file, however the program ends."""
+"""Recording of a stream; the file has all received lines, even if the program is killed."""
 
 from __future__ import annotations
 
@@ -61,7 +61,9 @@ class Recorder:
             raise self._write_error(error) from None
         if not lock(self._file.fileno()):
             self._file.close()
-            raise FluxobsError(f"{self.path}: another run records into it; give another name")
+            raise FluxobsError(
+                f"{self.path}: another run records into this file; give another name"
+            )
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,4 +1,4 @@
-"""Rows in the order of their time stamps: a connection repeats, delays and damages some."""
+"""Sort rows by their time stamps, since a connection repeats, delays and damages some rows."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Ordered(NamedTuple):
     received : StreamRows
         The rows as received.
     t : (rows,) ndarray
-        Their times [s], increasing.
+        Times of the rows [s], increasing.
     moved : (rows,) ndarray
         Offsets added to the stamps because the sender restarted [s].
     """
@@ -37,16 +37,16 @@ class Ordered(NamedTuple):
 class Order:
     """Filter that puts rows in the order of their time stamps.
 
-    A row that does not follow the row before it is held back until the next row. If the next row
-    follows the held row, samples are missing or the sender restarted. If it follows the row before,
-    the held row is late or its stamp is damaged; it is left out.
+    A row that does not follow its predecessor is held back until the next row arrives. If the
+    next row follows the held row, samples are missing or the sender restarted. If the next row
+    follows the predecessor, the held row is late or has a damaged stamp, and is left out.
 
     Parameters
     ----------
     clock : Clock
-        Clock of the first rows. Its step, rounding and wrap apply to the whole stream.
+        Clock of the first rows, whose step, rounding and wrap apply to the whole stream.
     time : str, optional
-        Column of the stamps. Without it, rows are counted.
+        Column of the stamps. Without this column, rows are counted.
     scale, offset : float
         Conversion of the stamps to seconds.
 
@@ -62,7 +62,7 @@ class Order:
         self.clock, self.time, self.scale, self.offset = clock, time, scale, offset
         self.restarts = self.left_out = 0
         self._rows = 0
-        self._held: StreamRows | None = None  # one row, until the next one decides
+        self._held: StreamRows | None = None  # at most one row, until the next row arrives
         self._before: float | None = None  # stamp of the last row as received [s]
         # Offsets added to the stamps [s]: for wraps and restarts, and for restarts alone.
         self._ahead = self._moved = 0.0
@@ -114,7 +114,7 @@ class Order:
         return step
 
     def _judge_rows(self, rows: StreamRows, stamp: Array) -> Ordered:
-        """Decide row by row whether it is in order; hold back the last one if that is open."""
+        """Decide for each row whether it is in order; hold back the last row if undecided."""
         accepted: list[int] = []
         offsets: list[tuple[float, float]] = []
         stamps = [float(seconds) for seconds in stamp]
@@ -161,14 +161,14 @@ class Order:
         return Ordered(ordered, stamp[in_order] + ahead, moved)
 
     def _accept(self, stamp: float) -> None:
-        """Advance to a stamp; count a restart if it goes back or far ahead."""
+        """Advance to a stamp; count a restart if the stamp goes back or far ahead."""
         before, self._before = self._before, stamp
         if before is None:
             return
         step = self._step(stamp, before)
         if step < 0 or step > _FARTHEST:
             self.restarts += 1
-            resumed = 2 * self.clock.sample_time  # one sample is taken as lost
+            resumed = 2 * self.clock.sample_time  # assume that one sample is lost
             self._moved += resumed - step
             self._ahead += resumed - (stamp - before)
         else:

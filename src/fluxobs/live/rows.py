@@ -31,7 +31,7 @@ class StreamRows(NamedTuple):
 
 
 def joined(earlier: StreamRows, later: StreamRows) -> StreamRows:
-    """Return the rows of both, the earlier ones first."""
+    """Return the rows of both arguments, the earlier rows first."""
     columns = {
         name: np.concatenate([values, later.columns[name]])
         for name, values in earlier.columns.items()

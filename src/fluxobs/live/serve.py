@@ -16,13 +16,13 @@ from ..errors import FluxobsError
 from ..page import built, in_script
 from .frames import MARK
 
-#: Chunks that may wait for a slow browser; beyond that it is disconnected.
+#: Chunks that may wait for a slow browser; with more chunks, the browser is disconnected.
 _WAITING = 1000
-#: Seconds within which a browser must take a chunk.
+#: Seconds within which a browser must accept a chunk.
 _PATIENCE = 3.0
-#: Begin of a row or a frame.
+#: First characters of a row or a frame.
 _ROW = re.compile(rb"^[ \t]*[-+.0-9\xf1]", re.MULTILINE)
-#: Length that no preamble reaches [bytes].
+#: Every preamble is shorter than this [bytes].
 _PREAMBLE = 1 << 16
 _CONNECT = "connect-src 'none'"
 _SETTINGS = '<script type="application/json" id="live">null</script>'
@@ -34,11 +34,11 @@ class Server:
     Parameters
     ----------
     port : int
-        0: any free port.
+        Port of the server; 0 chooses any free port.
     settings : mapping
         Initial settings of the page: machine, options, name.
     patient : bool
-        Whether the stream may wait until a browser takes it.
+        Whether the stream may wait for a slow browser.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Server:
             ) from None
         self.watched = threading.Event()
         self._patient = patient
-        self._head = b""  # lines above the first row; until that comes, everything sent
+        self._head = b""  # lines above the first row; before the first row, all bytes sent
         self._sent = self._rows = False
         self._whole = True  # whether the last line sent is complete
         self._browsers: set[_Browser] = set()
@@ -68,7 +68,7 @@ class Server:
             )
         except OSError as error:
             raise FluxobsError(
-                f"port {port} cannot be opened: {error.strerror}; choose another with --port"
+                f"port {port} cannot be opened: {error.strerror}; choose another port (--port)"
             ) from None
         number = self._server.socket.getsockname()[1]
         self._hosts = [f"localhost:{number}", f"127.0.0.1:{number}"]
@@ -131,7 +131,7 @@ class Server:
             browser.take(data, self._patient)
 
     def end(self, now: bool = False) -> None:
-        """End the stream once the browsers have taken the rest, or at once if `now`."""
+        """End the stream once the browsers have received the rest, or at once if `now`."""
         with self._lock:
             browsers = list(self._browsers)
         for browser in browsers:
@@ -142,9 +142,9 @@ class Server:
 
 
 def _above(first: bytes) -> tuple[bytes, bool]:
-    """Return the lines above the first row, and whether that row has come.
+    """Return the lines above the first row, and whether the first row has arrived.
 
-    They name the columns for a browser that connects late. In frames the names are repeated.
+    These lines name the columns for a browser that connects late. Frames repeat the names.
     """
     row = _ROW.search(first)
     if row is None and len(first) < _PREAMBLE:
@@ -153,7 +153,7 @@ def _above(first: bytes) -> tuple[bytes, bool]:
 
 
 class _Browser:
-    """Queue of a browser. If it connects within a line, it starts at the next line."""
+    """Queue of a browser. A browser that connects within a line starts at the next line."""
 
     def __init__(self, connection: Any, late: bool) -> None:
         self.connection, self.late = connection, late
@@ -162,7 +162,7 @@ class _Browser:
         self.waiting: queue.Queue[bytes | None] = queue.Queue()
 
     def take(self, data: bytes, patient: bool) -> None:
-        """Queue data; disconnect the browser if it is too slow (its page says so)."""
+        """Queue data; disconnect a browser that is too slow (the page shows a message)."""
         if self.ended:
             return
         if self.late:
@@ -182,7 +182,7 @@ class _Browser:
         self.waiting.put(None)
 
     def moves_on(self, enough: Callable[[], bool]) -> bool:
-        """Wait until `enough` is taken or the browser is gone; return False if it stalls."""
+        """Wait until `enough()` or the browser is gone; return False if the browser stalls."""
         taken, since = self.taken, time.monotonic()
         while not enough() and not self.gone.wait(0.01):
             if self.taken != taken:

@@ -21,11 +21,11 @@ from .frames import MARK
 _CHUNK = 65536
 #: Seconds between reads of a growing file, and timeout of a port.
 _PAUSE, _TIMEOUT = 0.02, 0.1
-#: Default address for datagrams: programs of this computer only.
+#: Default address for datagrams; only programs of this computer can send to it.
 _LOOPBACK = "127.0.0.1"
 #: Datagrams read at once.
 _DATAGRAMS = 4096
-#: Seconds of silence after which another port may take over: the sender may have restarted.
+#: Seconds of silence after which another port may take over, in case the sender restarted.
 _SILENCE = 5.0
 #: Rows sent at once by the demo.
 _DEMO_ROWS = 50
@@ -38,7 +38,7 @@ class Source(ABC):
     ----------
     name : str
     patient : bool
-        Whether unread bytes wait, so that nothing is lost before somebody reads.
+        Whether unread bytes are kept, so that no byte is lost before the first read.
     ignored : int
         Datagrams left out because they came from other senders.
     """
@@ -49,11 +49,11 @@ class Source(ABC):
 
     @abstractmethod
     def chunks(self) -> Iterator[bytes]:
-        """Yield received bytes until the stream ends; b"" now and then while nothing arrives."""
+        """Yield received bytes until the stream ends; while none arrive, yield b"" at times."""
 
 
 class File(Source):
-    """A file from its beginning, followed as it grows; a pipe until it is closed."""
+    """A file, read from its beginning and while it grows, or a pipe, read until it is closed."""
 
     patient = True
 
@@ -94,7 +94,7 @@ class Input(Source):
 
 
 class Datagrams(Source):
-    """UDP, with whole lines or frames in each datagram; the end of a datagram ends a line.
+    """UDP datagrams of whole lines or frames; the end of a datagram is the end of a line.
 
     Only the sender of the first datagram is read. After a silence, another port of the same host
     may take over, because a sender that restarts gets another port.
@@ -103,7 +103,7 @@ class Datagrams(Source):
     def __init__(self, host: str, port: int) -> None:
         self.name = f"udp:{host}:{port}"
         self._sender: tuple[str, int] | None = None
-        self._heard = 0.0  # time of its last datagram [s]
+        self._heard = 0.0  # time of the sender's last datagram [s]
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         try:
@@ -137,11 +137,11 @@ class Datagrams(Source):
         return _end_line(data)
 
     def _receive_waiting(self) -> bytes:
-        """Return the waiting datagrams in one chunk: many small chunks cost more."""
+        """Return the waiting datagrams in one chunk, because many small chunks cost more time."""
         data = bytearray()
         self._socket.setblocking(False)
         try:
-            for _ in range(_DATAGRAMS):  # bounded: another sender may never stop
+            for _ in range(_DATAGRAMS):  # bounded, because another sender may never stop
                 data += self._receive()
                 if len(data) >= _CHUNK:
                     break
@@ -157,7 +157,7 @@ def _end_line(datagram: bytes) -> bytes:
 
 
 class Connection(Source):
-    """A TCP connection, until the other side closes it."""
+    """A TCP connection, read until the other side closes it."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         self.name = name

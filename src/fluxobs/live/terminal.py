@@ -17,9 +17,9 @@ from .sources import Source
 from .watch import Watch
 
 #: Seconds between updates of the table on a terminal, between lines in a pipe, and without rows
-#: before a remark says so.
+#: until a note reports this.
 UPDATE, LINE, SILENT = 0.1, 1.0, 2.0
-#: Remark while no row is valid.
+#: Note shown while no row is valid.
 UNKNOWN = "not valid yet: if this lasts, record the stream (--save) and run `fluxobs check`"
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _STRIP = 40
@@ -40,7 +40,7 @@ class Terminal:
         self._strips: dict[str, deque[float]] = {}
         self._drawn = 0.0
         self._last_arrival = 0.0  # time of the last rows [s]
-        self._rows = self._valid = 0  # since the last update
+        self._rows = self._valid = 0  # counts since the last update
         self._line = ""
         self._live: Any = None
         self._notes_printed = False
@@ -73,7 +73,7 @@ class Terminal:
         self._valid += int(rows.valid.sum())
 
     def draw(self, force: bool = False) -> None:
-        """Update the display if it is due, or always with `force`."""
+        """Update the display if an update is due, or always with `force`."""
         now = time.monotonic()
         if now - self._drawn < (UPDATE if self._live is not None else LINE) and not force:
             return
@@ -98,7 +98,7 @@ class Terminal:
             print(line, flush=True)
 
     def _remarks(self) -> list[str]:
-        """Return remarks on the stream: losses, restarts, waiting, silence."""
+        """Return notes on losses, restarts, waiting and silence of the stream."""
         status = self.watch.status
         counts = (
             (status.lost, "lost"),

@@ -27,10 +27,11 @@ from .rows import StreamRows
 
 #: Time over which the scales of the signals are measured [s].
 WINDOW = 1.0
-#: The observer is chosen for signals this factor above the measured ones, and chosen again when a
-#: signal exceeds that scale by the same factor. Its settings need a scale within a factor of a few.
+#: The observer is chosen for scales that are the measured scales times this factor, and chosen
+#: again when a signal exceeds its scale by this factor. The settings of the observer need only
+#: approximate scales.
 GROWN = 2.0
-#: Bytes kept of a stream before its first row, at most.
+#: Most bytes of a stream that are kept before its first row.
 _UNREAD = 1 << 26
 #: Bytes that decide whether the stream is text or frames.
 _FIRST = 512
@@ -55,7 +56,7 @@ class Status:
     chosen : int
         How often the observer was chosen: at first, and whenever the signals have grown.
     waiting : str
-        What the observer waits for; "" once it runs.
+        What the observer waits for; "" once the observer runs.
     """
 
     rows: int
@@ -76,17 +77,17 @@ class Watch:
     head : Path
         File for the first lines of a text stream.
     unknowns : str or sequence of str
-        As for :func:`fluxobs.estimate`; "auto": everything that the adaptive observer estimates.
+        See :func:`fluxobs.estimate`; "auto" means all unknowns of the adaptive observer.
     memory : float, optional
         Memory of the least squares [s].
     priors : mapping, optional
     layout : optional
-        As for :func:`fluxobs.read_log`: frame, lag, columns, unit, sample_time, header, ….
+        Arguments of :func:`fluxobs.read_log`: frame, lag, columns, unit, sample_time, header, ….
 
     Attributes
     ----------
     log : Log, optional
-        Log of the first rows; None until enough have arrived.
+        Log of the first rows; None until enough rows have arrived.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class Watch:
         self._recent: list[Aligned] = []
         self._rows_to_measurement = HEAD_ROWS  # rows until the scales are measured
         self._state: Any = None
-        self._last_current: Any = None  # of the row before
+        self._last_current: Any = None  # of the previous row
         self._rows = self._valid = self._chosen = 0
         self._waiting = ""
         self._record: Callable[[bytes], Any] | None = None
@@ -123,12 +124,12 @@ class Watch:
         self._unread: list[bytes] = []
 
     def record(self, to: Callable[[bytes], Any] | None) -> None:
-        """Call `to` with each further row as lines of CSV, names first; None stops."""
+        """Call `to` with the lines of CSV of all further rows, first the names; None stops this."""
         self._record, self._header_recorded = to, False
 
     @property
     def unread(self) -> bytes:
-        """While recording: the bytes received before the first row."""
+        """The bytes received before the first row, while recording."""
         return b"".join(self._unread)
 
     def feed(self, data: bytes, last: bool = False) -> Iterator[EstimateRows]:
@@ -237,7 +238,7 @@ class Watch:
         raise RecordError(message.replace(str(self.head), "the stream")) from None
 
     def _estimate_all(self, batches: Iterable[Aligned]) -> Iterator[EstimateRows]:
-        """Estimate aligned rows. The size of the batches changes no number."""
+        """Estimate aligned rows. The size of the batches does not change the results."""
         for batch in batches:
             at = 0
             while at < len(batch.t):

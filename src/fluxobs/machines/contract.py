@@ -1,6 +1,6 @@
 """The interface of every machine.
 
-A new kind is one file with a subclass, and one line of registration (registry.py).
+A new kind of machine needs one file with a subclass, and one line in registry.py.
 docs/contributing.md explains the members.
 """
 
@@ -25,7 +25,7 @@ from .model.inverter import InverterError
 
 @dataclass(frozen=True)
 class Position:
-    """Names and unit of a machine kind's position.
+    """Names and unit of the position of one kind of machine.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Position:
     truths : tuple of str
         Channels of a log that can hold the true position.
     factor, unit : float, str
-        Unit in which errors are stated, and the factor from SI to it.
+        Unit of stated errors, and the factor from SI to this unit.
     title : str
         Title of its picture.
     """
@@ -46,7 +46,7 @@ class Position:
     title: str
 
 
-#: Prefix of a parameter's name → its unit.
+#: Unit of a parameter, by the prefix of its name.
 _UNITS = {"R_": "Ω", "L_": "H", "psi": "Wb", "rated_current": "A", "rated_speed": "rad/s"}
 _UNITS |= {"inverter_voltage": "V", "inverter_current": "A", "n_p": "pole pairs"}
 
@@ -64,7 +64,7 @@ class Machine(BaseModel):
     Parameters
     ----------
     rated_current : float, optional
-        Peak current of a port [A], > 0. Scale of plausible values; a rough value will do.
+        Peak current of a port [A], > 0. Scale of plausible values; a rough value suffices.
 
     Raises
     ------
@@ -75,18 +75,18 @@ class Machine(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     kind: ClassVar[str]
-    #: Default reference frame of its logs.
+    #: Default reference frame of this kind's logs.
     frame: ClassVar[Frame] = "alphabeta"
-    #: Names of its two ports: the suffixes of its outputs.
+    #: Names of the two ports, which are the suffixes of the outputs.
     ports: ClassVar[tuple[str, str]] = ("alpha", "beta")
     position_output: ClassVar[Position]
     #: Usual memory of the least squares for machines of this kind [s].
     memory: ClassVar[float] = _core.usual["MEMORY"]
-    #: Whether the relation holds equally well half a turn away.
+    #: Whether the relation also holds at the opposite angle.
     half_turn_ambiguous: ClassVar[bool] = False
     #: A position vector shorter than this share of the flux base gives no position.
     shortest: ClassVar[float] = 0.0
-    #: True: voltages are measured, with noise. False: they are commands, without noise.
+    #: True if voltages are measured and noisy, false if voltages are commands without noise.
     measured_voltage: ClassVar[bool] = False
 
     rated_current: Positive | None = None
@@ -100,11 +100,11 @@ class Machine(BaseModel):
 
     @classmethod
     def parameter_names(cls) -> list[str]:
-        """Return the parameters' names in a machine file."""
+        """Return the names that the parameters have in a machine file."""
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     def parameters(self) -> dict[str, Any]:
-        """Return the values by their names in a machine file; None if not given."""
+        """Return the values by their names in a machine file; a missing value is None."""
         fields = type(self).model_fields.items()
         return {field.alias or name: getattr(self, name) for name, field in fields}
 
@@ -130,7 +130,7 @@ class Machine(BaseModel):
 
     @property
     def constraint(self) -> QuadraticConstraint:
-        """Relation between flux and current. d is 0 if unknown: no observer needs it."""
+        """Relation between flux and current. d is 0 if unknown, since no observer needs d."""
         raise NotImplementedError
 
     @property
@@ -143,12 +143,12 @@ class Machine(BaseModel):
     def flux_base(self, rated_current: float, psi_f: float | None = None) -> float | None:
         """Return the scale of the flux [Wb]; a given `psi_f` replaces the machine's.
 
-        None if both are missing.
+        Return None if both values are missing.
         """
         raise NotImplementedError
 
     def constraint_noise(self, flux_base: float, noise: float) -> float:
-        """Return the std of the constraint's residual if each current has the std `noise` [A]."""
+        """Return the std of the constraint's residual for currents with the std `noise` [A]."""
         raise NotImplementedError
 
     # ---- the position -----------------------------------------------------------------
@@ -167,7 +167,7 @@ class Machine(BaseModel):
         raise NotImplementedError
 
     def position_std(self, flux: Array, flux_std: Array, current: Array) -> Array:
-        """Return the position's standard deviation, from the flux's, (...)."""
+        """Return the standard deviation of the position, given that of the flux; shape (...)."""
         raise NotImplementedError
 
     @property
@@ -176,11 +176,11 @@ class Machine(BaseModel):
         return 1.0
 
     def true_position(self, channel: str, value: Array) -> Array:
-        """Return the true position from a log's channel, one of ``position_output.truths``."""
+        """Return the true position, given a log's channel that is in ``position_output.truths``."""
         raise NotImplementedError
 
     def position_error(self, estimated: Array, true: Array) -> Array:
-        """Return the estimated minus the true position, wrapped if it is an angle."""
+        """Return the estimated minus the true position, wrapped if the position is an angle."""
         raise NotImplementedError
 
     # ---- copies -----------------------------------------------------------------------
@@ -196,12 +196,12 @@ class Machine(BaseModel):
         return type(self)(**self.parameters() | values)
 
     def scaled(self, names: Iterable[str], factor: float) -> Self:
-        """Return a copy with the named parameters multiplied by `factor`; skip those not given."""
+        """Return a copy with the named parameters multiplied by `factor`; skip missing values."""
         values = {name: getattr(self, name, None) for name in names}
         return self.with_values(**{k: v * factor for k, v in values.items() if v is not None})
 
 
 def angle_std(flux_std: Array, length: Array) -> Array:
-    """Return the standard deviation of the direction of a vector of this length, (...)."""
+    """Return the standard deviation of the direction of a vector; shape (...)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.linalg.norm(flux_std, axis=-1) / np.sqrt(2) / length)

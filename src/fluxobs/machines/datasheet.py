@@ -1,9 +1,9 @@
-"""Convert a motor's datasheet to parameters: per phase (star), peak values, SI.
+"""Convert a motor's datasheet to parameters in SI units, per phase (star), with peak values.
 
-Datasheets give resistances between two terminals, and poles instead of pole pairs. They describe
-the magnets by the speed per volt of a hobby motor (KV), a voltage per speed (K_e) or a torque per
-ampere (K_t), each for a line or a phase, peak or rms. With the magnet flux ψ, the peak voltage
-between two terminals is √3 n_p ψ ω, and the torque is 3/2 n_p ψ î.
+Datasheets give resistances between two terminals, and poles instead of pole pairs. Datasheets
+describe the magnets by the speed per volt of a hobby motor (KV), a voltage per speed (K_e) or a
+torque per ampere (K_t), where each value is for a line or a phase, and peak or rms. With the magnet
+flux ψ, the peak voltage between two terminals is √3 n_p ψ ω, and the torque is 3/2 n_p ψ î.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ FIELDS = {
     "rated_speed_rpm": "rpm",
     "rated_power": "W at the shaft",
 }
-#: Kind of voltage → factor to the peak value of a phase.
+#: Factor from each kind of voltage to the peak value of a phase.
 VOLTAGES = {
     "line peak": 1 / math.sqrt(3),
     "line rms": math.sqrt(2 / 3),
     "phase peak": 1.0,
     "phase rms": math.sqrt(2),
 }
-#: Kind of current in K_t → peak phase current per ampere of it. With block commutation two phases
-#: conduct, and K_t [Nm/A] is the peak voltage between two terminals over the speed, √3 n_p ψ.
+#: Peak phase current per ampere of each kind of current in K_t. With block commutation two phases
+#: conduct, and K_t [Nm/A] is the peak voltage between two terminals divided by the speed, √3 n_p ψ.
 CURRENTS = {"peak": 1.0, "rms": math.sqrt(2), "dc": 2 / math.sqrt(3)}
 _CHOICES = {"kv_of": VOLTAGES, "K_e_of": VOLTAGES, "K_t_of": CURRENTS}
 _DEFAULTS = {"kv_of": "line peak", "K_e_of": "line rms", "K_t_of": "rms", "connection": "star"}
@@ -59,7 +59,7 @@ def _check_positive(name: str, value: object) -> float:
 def _take_choice(
     fields: dict[str, Any], name: str, choices: Mapping[str, Any], note: Callable[[str], Any]
 ) -> str:
-    """Remove a field with a fixed set of values, and return its value or the default."""
+    """Remove a field that allows only some values; return its value or the default."""
     choice = fields.pop(name, None)
     if choice is None:
         choice = _DEFAULTS[name]
@@ -75,7 +75,7 @@ def from_datasheet(
     magnets: bool,
     note: Callable[[str], Any] = lambda text: None,
 ) -> dict[str, Any]:
-    """Return fields of a machine file, with datasheet fields converted to its parameters.
+    """Return fields of a machine file, with datasheet fields converted to parameters.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def from_datasheet(
         Names of the kind's inductances along d and q.
     magnets : bool
     note : callable, optional
-        Called with the text of each assumption.
+        Function that receives the text of each assumption.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _convert_windings(
     store: Callable[[str, float], None],
     note: Callable[[str], Any],
 ) -> None:
-    """Store resistance and inductances; two terminals see two phases in star or delta."""
+    """Store resistance and inductances; between two terminals lie two phases, in star or delta."""
     names = tuple(dict.fromkeys(inductances))
     if "R_line" in sheet and "R_phase" in sheet:
         raise ValueError("R_line and R_phase: give one of them")
@@ -184,7 +184,7 @@ def _convert_magnets(
     if not magnets:
         raise ValueError(f"{names[0]}: this kind of machine has no magnets")
     if len(names) > 1:
-        raise ValueError(f"{' and '.join(names)}: give one of them, the magnets have one flux")
+        raise ValueError(f"{' and '.join(names)}: give one of them; each determines psi_f")
     n_p = parameters.get("n_p")
     if not isinstance(n_p, int) or n_p < 1:
         raise ValueError(f"{names[0]} needs n_p, the pole pairs, or poles")
@@ -206,7 +206,7 @@ def _convert_power(
     note: Callable[[str], Any],
     magnets: bool,
 ) -> None:
-    """Store the rated current from power and speed, unless it is given."""
+    """Store the rated current from power and speed, unless the current is given."""
     if "rated_power" not in sheet:
         return
     power = _check_positive("rated_power", sheet.pop("rated_power"))
@@ -217,6 +217,6 @@ def _convert_power(
         return
     store("rated_current", power / speed / (1.5 * n_p * psi))
     note(
-        f"rated_current, {parameters['rated_current']:.3g} A peak, follows from the rated torque, "
-        f"{power / speed:.3g} Nm, and psi_f"
+        f"rated_current, {parameters['rated_current']:.3g} A peak, is computed from psi_f and the "
+        f"rated torque, {power / speed:.3g} Nm"
     )

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from .contract import Machine
 from .rotating import RotatingMachine
 
-#: Change of a parameter to expect until the next log, as a share of it: copper and magnets by 40 K
-#: of heat, an inverter by load and DC link.
+#: Expected change of a parameter until the next log, as a share of its value. Copper and magnets
+#: change with 40 K of heat, an inverter with load and DC link.
 CHANGES = {"R_s": 0.15, "R_R": 0.15, "psi_f": 0.05, "inverter_voltage": 0.1}
 
 
@@ -21,7 +21,7 @@ def with_found(
     ----------
     machine : RotatingMachine
     found : mapping of str to (float, float)
-        Name in the machine file → value and its standard deviation in this log.
+        Value and its standard deviation in this log, by the name in the machine file.
     """
     names = machine.parameter_names()
     values: dict[str, float] = {}
@@ -41,8 +41,8 @@ def machine_text(
 ) -> str:
     """Return the text of a machine file: comment lines, then one parameter per line.
 
-    Comments mark the identified values, `found`, with their standard deviations. `flux_map` is the
-    value of that field in TOML, if it differs from the machine's.
+    Comments mark the identified values, `found`, with their standard deviations. `flux_map` is TOML
+    that replaces the machine's value of this field.
     """
     lines = [*(f"# {comment(line)}" for line in head), f'kind = "{machine.kind}"']
     values = {name: value for name, value in machine.parameters().items() if value is not None}

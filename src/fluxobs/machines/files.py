@@ -35,7 +35,7 @@ def machine_from(
         parameters["flux_map"] = folder / flux_map
     kind = parameters.pop("kind", None)
     if kind is None:
-        raise MachineError(f"{source}: kind is missing: one of {', '.join(KINDS)}")
+        raise MachineError(f"{source}: kind is missing: give one of {', '.join(KINDS)}")
     if not isinstance(kind, str) or kind not in KINDS:
         raise MachineError(f"{source}: unknown kind {kind!r}{nearest(str(kind), KINDS)}")
     try:
@@ -52,16 +52,15 @@ def read_machine(path: str | Path) -> Machine:
     Raises
     ------
     MachineError
-        There is no such file or example, it is not TOML, its parameters are wrong, or its table
-        is in another folder.
+        The file or example does not exist, is not TOML, has wrong parameters, or names a table in
+        another folder.
     """
     path = Path(path)
     if not path.exists() and not path.suffix and path.name in example_names():
         return example(path.name)
     if not path.exists():
         raise MachineError(
-            f"{path}: no such machine file, nor a shipped machine"
-            f"{nearest(path.name, example_names())}"
+            f"{path}: no such machine file or shipped machine{nearest(path.name, example_names())}"
         )
     fields = read_toml(path, MachineError)
     flux_map = fields.get("flux_map")

@@ -19,17 +19,19 @@ from .rotating import RotatingMachine
 
 #: Parameters of the T-model, from a datasheet or from no-load and locked-rotor tests.
 T_MODEL = ("R_r", "L_ls", "L_lr", "L_m")
-#: Numbers on the rating plate, in its units: V and A rms (line to line, line), Hz, W, rpm.
+#: Numbers on the rating plate, in its units: V rms (line to line), A rms (line), Hz, W, rpm.
 PLATE = ("voltage", "frequency", "power", "current", "speed", "cos_phi")
-#: Leakage reactance over the rated impedance, if only the plate is known: 0.12 to 0.2 in machines
-#: of 1 to 100 kW.
+#: Leakage reactance divided by the rated impedance, used if only the plate is known. The ratio is
+#: 0.12 to 0.2 in machines of 1 to 100 kW.
 LEAKAGE = 0.15
-#: Magnetizing over rated current, if neither is given: 0.3 (large) to 0.6 (small machines).
+#: Magnetizing current divided by the rated current, used if neither current is given. The ratio is
+#: 0.3 in large and 0.6 in small machines.
 MAGNETIZING: float = _core.usual["MAGNETIZING"]
-#: Change of i_d below which the rotor flux counts as constant, over the magnetizing current: five
-#: times the effect of usual current offsets (2 % of rated), less than any field weakening.
+#: The rotor flux counts as constant below this change of i_d, divided by the magnetizing current.
+#: The limit is five times the effect of usual current offsets (2 % of rated), and less than any
+#: field weakening.
 STILL: float = _core.usual["STILL"]
-#: Std of a current offset, over the rated current.
+#: Std of a current offset, divided by the rated current.
 OFFSET: float = _core.usual["CAGE_OFFSET"]
 
 
@@ -37,16 +39,16 @@ class InductionMachine(RotatingMachine):
     """Cage induction machine in its inverse-Γ model; the position is the rotor flux angle.
 
     With the stator flux λ, the rotor flux is ``x = λ - L_sigma i``, and ``dx/dt = R_R i - (R_R/L_M
-    - j n_p ω_m) x``. Its length follows ``d|x|/dt = R_R i_d - R_R/L_M |x|``, whatever the speed. It
-    turns by ``R_R i_q/|x|`` faster than the rotor: the slip.
+    - j n_p ω_m) x``. At any speed, the length of x obeys ``d|x|/dt = R_R i_d - R_R/L_M |x|``. The
+    rotor flux turns faster than the rotor by the slip ``R_R i_q/|x|``.
 
     Parameters
     ----------
     R_s, n_p, rated_current, rated_speed
         See :class:`RotatingMachine`.
     R_R : float
-        Rotor resistance [Ω], > 0. It enters the mechanical speed, and the position while the rotor
-        flux changes.
+        Rotor resistance [Ω], > 0. R_R affects the mechanical speed, and the position while the
+        rotor flux changes.
     L_sigma, L_M : float
         Leakage and magnetizing inductance [H], > 0.
     psi_R : float, optional
@@ -57,9 +59,9 @@ class InductionMachine(RotatingMachine):
         T-model parameters, referred to the stator.
     plate : mapping, instead of all inductances and resistances
         voltage [V rms, line to line], frequency [Hz], power [W], current [A rms], speed [rpm],
-        cos_phi, of the star connection: rough values for `fluxobs identify` to improve. The leakage
-        reactance is 0.15 of the rated impedance, and the stator's copper has all losses except
-        those of the slip.
+        cos_phi, for a star connection. These numbers give rough values, which `fluxobs identify`
+        improves. The leakage reactance is 0.15 of the rated impedance, and all losses except those
+        of the slip are assigned to the stator's copper.
 
     References
     ----------
@@ -131,7 +133,7 @@ class InductionMachine(RotatingMachine):
         return CageMap(self.L_sigma, self.L_M, self.R_R, sample_time, psi_f, still, offset)
 
     def slip(self, flux: Array, current: Array) -> Array:
-        """Return the electrical speed of the rotor flux relative to the rotor [rad/s], (...)."""
+        """Return the electrical speed [rad/s] of the rotor flux relative to the rotor."""
         x = np.asarray(flux) - self.L_sigma * np.asarray(current)
         cross = x[..., 0] * current[..., 1] - x[..., 1] * current[..., 0]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -139,11 +141,11 @@ class InductionMachine(RotatingMachine):
 
     @property
     def slip_share_std(self) -> float:
-        """Relative standard deviation of the slip: that of R_R."""
+        """Relative standard deviation of the slip, which equals that of R_R."""
         return ROTOR_SHARE if self.R_R_std is None else self.R_R_std / self.R_R
 
 
-#: Default of R_R_std over R_R: heat alone makes it ± 20 %.
+#: Default of R_R_std divided by R_R. Heat alone changes R_R by ± 20 %.
 ROTOR_SHARE = 0.3
 
 

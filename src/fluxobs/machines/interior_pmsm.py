@@ -1,4 +1,4 @@
-"""Interior permanent-magnet synchronous machine, by its active flux."""
+"""Interior permanent-magnet synchronous machine, described by its active flux."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from .rotating import MagnetMachine
 
 
 class InteriorPMSM(MagnetMachine):
-    """Interior PMSM: its active flux ``λ - L_q i`` has the length ``ψ_f + (L_d - L_q) i_d``.
+    """Interior PMSM, whose active flux ``λ - L_q i`` has the length ``ψ_f + (L_d - L_q) i_d``.
 
-    The observers account for i_d by its flux map. A current bias δ_i falsifies i_d and turns the
-    position by up to (L_q - L_d) δ_i / ψ_f. The plain observer returns the active flux as psi_f.
+    The observers account for i_d by the machine's flux map. A current bias δ_i falsifies i_d and
+    turns the position by up to (L_q - L_d) δ_i / ψ_f. The plain observer returns the active flux as
+    psi_f.
 
     Parameters
     ----------

@@ -13,9 +13,9 @@ from .model.constraint import QuadraticConstraint
 
 
 class MagLev2DOF(Machine):
-    """Opposed coils, ``i₁ = φ₁(g - q)/k₁``, ``i₂ = φ₂(g + q)/k₂``: ``2gφ₁φ₂ = k₁i₁φ₂ + k₂i₂φ₁``.
+    """Opposed coils: ``k₁i₁ = φ₁(g - q)``, ``k₂i₂ = φ₂(g + q)``, so ``2gφ₁φ₂ = k₁i₁φ₂ + k₂i₂φ₁``.
 
-    The flux is the core flux φ, ``N φ̇ = u - R i``. Only k, g, R and N enter the observer.
+    The flux is the core flux φ, with ``N φ̇ = u - R i``. The observer uses only k, g, R and N.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class MagLev2DOF(Machine):
     frame = "ports"
     ports = ("1", "2")
     position_output = Position("position", ("position",), 1e6, " µm", "Position")
-    memory = 0.15  # s: the lever moves more slowly than a rotor
+    memory = 0.15  # [s]; the lever moves more slowly than a rotor
     measured_voltage = True
 
     k_1: Positive
@@ -83,7 +83,7 @@ class MagLev2DOF(Machine):
         """Return the displacement q [m] and the length of the flux vector [Wb].
 
         Each coil gives an equation for ``φ_k q``; least squares combines both.
-        Without flux q is undefined.
+        Without flux, q is undefined.
 
         Parameters
         ----------

@@ -60,7 +60,7 @@ def new_machine(kind: str, fields: Mapping[str, Any]) -> NewMachine:
     if kind == "induction" and set(values) & set(PLATE):
         values["plate"] = {name: values.pop(name) for name in PLATE if name in values}
         assumed.append(
-            "leakage reactance is assumed to be 0.15 of the rated impedance, the winding a star"
+            "assumed: a leakage reactance of 0.15 of the rated impedance, and a star winding"
         )
         assumed.append(
             "all losses but the rotor's are assigned to the stator winding: R_s is an upper bound"
@@ -73,16 +73,14 @@ def new_machine(kind: str, fields: Mapping[str, Any]) -> NewMachine:
     machine = rotating(machine_from({"kind": kind, **values}, source="new machine"))
     from_datasheet(values, machine.inductances, machine.magnets, assumed.append)
     if machine.rated_current is None:
-        assumed.append(
-            "rated_current is not given: it is taken from each log; firmware needs it here"
-        )
+        assumed.append("rated_current is not given: each log determines it, but an export needs it")
     source = ", ".join(f"{name} = {value}" for name, value in fields.items())
     head = (f"Written by `fluxobs machine new` from {source}.", *assumed)
     return NewMachine(machine, head, tuple(assumed))
 
 
 def _check_inductance(kind: str, values: Mapping[str, Any]) -> None:
-    """Raise MachineError with a remedy if no inductance is given: many datasheets lack it."""
+    """Raise MachineError with a remedy if no inductance is given, as in many datasheets."""
     inductances = [name for name in KINDS[kind].parameter_names() if name.startswith("L_")]
     if kind == "induction" or "flux_map" in values:
         return

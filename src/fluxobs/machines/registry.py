@@ -16,5 +16,5 @@ _KINDS: tuple[type[Machine], ...] = (
     InductionMachine,
     MagLev2DOF,
 )
-#: Kind in a machine file → class.
+#: Class of a machine, by its kind in a machine file.
 KINDS = {machine.kind: machine for machine in _KINDS}

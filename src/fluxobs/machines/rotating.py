@@ -33,7 +33,7 @@ PolePairs = Annotated[int, Field(ge=1)]
 
 
 class RotatingMachine(Machine):
-    """A three-phase machine in αβ: per-phase (star) values, amplitude-invariant vectors.
+    """A three-phase machine with per-phase (star) values and amplitude-invariant αβ vectors.
 
     Current is positive into the machine; the phase sequence at positive speed is a-b-c.
 
@@ -44,19 +44,19 @@ class RotatingMachine(Machine):
     n_p : int
         Pole pairs, >= 1.
     rated_current : float, optional
-        Peak phase current [A], > 0. Scale of plausible values; a rough value will do.
+        Peak phase current [A], > 0. Scale of plausible values; a rough value suffices.
     inverter_voltage : float, optional
-        Voltage lost to dead time and device drops per phase [V]; subtracted from a log's commanded
-        voltages.
+        Voltage lost to dead time and device drops per phase [V]; it is subtracted from a log's
+        commanded voltages.
     inverter_current : float, optional
         Phase current at which the inverter's smoothed sign reaches three quarters [A], > 0; default
         5 % of rated_current.
     rated_speed : float, optional
-        Mechanical speed [rad/s], > 0; of an induction machine, the speed at which field weakening
-        begins. A rough value will do: it sets the memory if L/R is short.
+        Mechanical speed [rad/s], > 0; for an induction machine, the speed at which field weakening
+        begins. This speed sets the memory if L/R is short; a rough value suffices.
     R_s_std, inverter_voltage_std : float, optional
-        Standard deviations of these values [Ω], [V], >= 0, for the adaptive observer; likewise
-        L_s_std, or L_d_std and L_q_std [H], and psi_f_std [Wb]. Defaults:
+        Standard deviations of these values [Ω], [V], >= 0, for the adaptive observer. L_s_std, or
+        L_d_std and L_q_std [H], and psi_f_std [Wb] have the same meaning. Defaults:
         :meth:`AdaptiveObserver.for_machine`.
     """
 
@@ -66,13 +66,13 @@ class RotatingMachine(Machine):
     shortest = _core.usual["SHORTEST"]
     #: Whether there are magnets; the parameter psi_f is their flux.
     magnets: ClassVar[bool] = False
-    #: Names of the inductances along d and q; the same name twice if there is only one.
+    #: Names of the inductances along d and q; the same name twice for a single inductance.
     inductances: ClassVar[tuple[str, str]]
     #: Whether the flux without current changes in operation, as in a cage machine.
     flux_moves: ClassVar[bool] = False
     #: Name of the parameter that is the flux without current.
     flux_name: ClassVar[str] = "psi_f"
-    #: Text for |λ - L i|.
+    #: Name of |λ - L i| in texts for users.
     length_name: ClassVar[str] = "Magnet flux"
 
     R_s: Positive
@@ -110,7 +110,7 @@ class RotatingMachine(Machine):
 
     @property
     def inductance_names(self) -> tuple[str, ...]:
-        """Names of this kind's inductances, each once."""
+        """Names of this kind's inductances, without repetition."""
         return tuple(dict.fromkeys(self.inductances))
 
     @property
@@ -151,17 +151,17 @@ class RotatingMachine(Machine):
         """Return the memory of the least squares for a sample time [s].
 
         Current noise enters the flux directly, as L i, and through the resistive drop, as a random
-        walk. The ratio of the second to the first is R sqrt(h T) / (2 L), with the memory T. If L/R
-        is short, a shorter memory keeps it below one. The memory must still hold one turn at a
-        quarter of the speed.
+        walk. The ratio of the random walk to the direct noise is R sqrt(h T) / (2 L) for the memory
+        T. If L/R is short, a shorter memory keeps this ratio below one. The memory must still cover
+        one turn at a quarter of the speed.
 
         Parameters
         ----------
         sample_time : float
             [s].
         speed_e : float, optional
-            Usual electrical speed [rad/s]; default from rated_speed. If neither is given, return
-            :attr:`memory`.
+            Usual electrical speed [rad/s]; default from rated_speed. If both speeds are missing,
+            return :attr:`memory`.
         """
         return _core.choose(self.sizes(1.0, 1.0, speed_e), sample_time)["memory"]
 
@@ -196,7 +196,7 @@ class RotatingMachine(Machine):
         }
 
     def held_share(self, held: Held, sample_time: float) -> float:
-        """Return R h/L if voltages are held over a sample [s], else 0; "auto": if it matters.
+        """Return R h/L if voltages are held over a sample [s], else 0; with "auto" also 0 if small.
 
         See :meth:`LeastSquaresObserver.for_machine`.
         """
@@ -204,7 +204,7 @@ class RotatingMachine(Machine):
 
     @property
     def transient_inductance(self) -> float:
-        """Inductance seen by a voltage step, averaged over its direction [H]."""
+        """Inductance [H] for a voltage step, averaged over the step's direction."""
         L_d, L_q = self.L_dq
         return 2 / (1 / L_d + 1 / L_q)
 
@@ -215,7 +215,7 @@ class RotatingMachine(Machine):
         return L_d - L_q
 
     def flux_dq(self, current: Any) -> NDArray[np.complex128]:
-        """Return the flux linkage [Wb] of a current [A], both in rotor coordinates d + j q.
+        """Return the flux linkage d + j q [Wb] of a current d + j q [A] in rotor coordinates.
 
         Raises
         ------
@@ -235,9 +235,9 @@ class RotatingMachine(Machine):
         Parameters
         ----------
         sample_time : float
-            [s], for maps that change with time.
+            Sample time [s], for maps that change with time.
         psi_f : float
-            Magnet flux [Wb], used if the machine gives none.
+            Magnet flux [Wb], used if the machine has no psi_f.
         """
         return None
 
@@ -256,13 +256,13 @@ class RotatingMachine(Machine):
 
 
 class SynchronousMachine(RotatingMachine):
-    """A machine whose flux is a function of its current in rotor coordinates, its flux map.
+    """A machine with a flux map, which is the flux as a function of current in rotor coordinates.
 
     Parameters
     ----------
     flux_map : path, mapping, FluxPoints or AlgebraicSaturation, optional
         Saturation: a CSV file with columns i_d, i_q [A], psi_d, psi_q [Wb], or the parameters of
-        the algebraic model. Missing inductances and psi_f follow from it.
+        the algebraic model. Missing inductances and psi_f are computed from this map.
     """
 
     flux_map: FluxMapField | None = None
@@ -346,7 +346,7 @@ class SynchronousMachine(RotatingMachine):
 
 
 class MagnetMachine(SynchronousMachine):
-    """A machine whose position vector λ - L i has the constant length of its magnet flux.
+    """A machine whose position vector λ - L i has the constant length of the magnet flux.
 
     The relation is ``|λ - L i|² = ψ²``: Q1 = I, Q2 = -2L I, Q3 = L² I, d = -ψ².
     """
@@ -382,7 +382,7 @@ def rotating(machine: object, what: str = "this") -> RotatingMachine:
     Raises
     ------
     MachineError
-        `machine` does not rotate, or is no machine but, for example, a name.
+        `machine` does not rotate, or is not a machine (for example, a name).
     """
     if isinstance(machine, RotatingMachine):
         return machine
@@ -390,7 +390,7 @@ def rotating(machine: object, what: str = "this") -> RotatingMachine:
         raise MachineError(f"kind {machine.kind}: {what} is for machines that turn")
     if isinstance(machine, str):
         raise MachineError(
-            f"{machine!r} is a name: {what} takes the machine itself, "
+            f"{machine!r} is a name: {what} needs the machine itself, "
             f"fluxobs.read_machine({machine!r})"
         )
-    raise MachineError(f"{what} takes a machine, got {type(machine).__name__}")
+    raise MachineError(f"{what} needs a machine, got {type(machine).__name__}")

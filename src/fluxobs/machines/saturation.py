@@ -22,9 +22,9 @@ Complex = NDArray[np.complex128]
 
 #: Columns of a map's file [A], [Wb].
 COLUMNS = ("i_d", "i_q", "psi_d", "psi_q")
-#: Tables of a model reach this many rated currents: few drives use more.
+#: Largest current in a model's table, in rated currents. Few drives use more current.
 RANGE = 2.0
-#: Points per axis of such a table: more than splines.
+#: Points per axis to which a model's table is fitted. There must be more points than splines.
 POINTS = 61
 #: Exponents of the algebraic model.
 Exponent = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
@@ -34,15 +34,15 @@ Exponent = Annotated[float, Field(ge=0, le=20, allow_inf_nan=False)]
 class FluxPoints:
     """Points of a flux map, on a grid or scattered.
 
-    Points of only one sign of i_q are mirrored to the other sign; without magnets the same applies
-    to i_d.
+    Points with only one sign of i_q are mirrored to the other sign; without magnets, the points are
+    also mirrored in i_d.
 
     Parameters
     ----------
     current, flux : (points,) array_like
         d + j q [A], [Wb].
     source : str
-        Path of their file.
+        Path of the points' file.
     """
 
     current: Complex
@@ -152,7 +152,7 @@ class AlgebraicSaturation(BaseModel):
     psi_f: NotNegative = 0.0
 
     def current(self, flux: ArrayLike) -> Complex:
-        """Return the current d + j q [A] of a flux [Wb], (...)."""
+        """Return the current d + j q [A] of a flux d + j q [Wb]."""
         psi = np.asarray(flux, complex)
         d, q = np.abs(psi.real), np.abs(psi.imag)
         S, T, U, V = self.S, self.T, self.U, self.V
@@ -172,7 +172,7 @@ class AlgebraicSaturation(BaseModel):
         return dd, sign * a * d ** (U + 1) * q ** (V + 1), qq
 
     def flux(self, current: ArrayLike) -> Complex:
-        """Return the flux d + j q [Wb] of a current [A], (...), by Newton's method.
+        """Return the flux d + j q [Wb] of a current d + j q [A], computed by Newton's method.
 
         The map is the gradient of a convex energy, so damped steps always converge.
         """
@@ -214,7 +214,7 @@ class AlgebraicSaturation(BaseModel):
 class FallingInductances:
     """Inductances that fall with the current: ``L(x) = L / √(1 + k x²)``.
 
-    x is the current over the rated current.
+    x is the current divided by the rated current.
 
     Parameters
     ----------
@@ -225,7 +225,8 @@ class FallingInductances:
     psi_f : float
         [Wb].
     together : bool
-        If true, x is the length of the current vector for both axes, else each axis's component.
+        If true, x is the length of the current vector for both axes; if false, each axis uses its
+        own component.
     """
 
     L_d: float
@@ -257,13 +258,13 @@ MapSource = FluxPoints | AlgebraicSaturation
 
 
 def read_source(value: object) -> MapSource:
-    """Return a map from a path, from a table of parameters, or unchanged."""
+    """Return the map of a path or of a table of parameters; return a map unchanged."""
     if isinstance(value, FluxPoints | AlgebraicSaturation):
         return value
     if isinstance(value, str | Path):
         try:
             return FluxPoints.read(value)
-        except FluxobsError as error:  # pydantic carries a ValueError's message
+        except FluxobsError as error:  # pydantic reports the message of a ValueError
             raise ValueError(str(error)) from None
     if isinstance(value, Mapping):
         names = AlgebraicSaturation.model_fields
@@ -285,14 +286,15 @@ FluxMapField = Annotated[MapSource, PlainValidator(read_source)]
 def fitted_table(
     source: MapSource | FallingInductances, rated_current: float | None, magnets: bool
 ) -> FittedTable:
-    """Fit the splines of a map once: copies of a machine share them."""
+    """Fit the splines of a map once; copies of a machine share the fit."""
     return source.table(rated_current, magnets)
 
 
 def chords(fit: FittedTable, rated_current: float | None) -> tuple[float, float, float]:
     """Return L_d, L_q [H] and psi_f [Wb] of a linear machine that approximates a map.
 
-    The inductances are chords over ± the rated current along q, ± half of it along d.
+    The inductances are slopes of chords, over ± the rated current along q and ± half the rated
+    current along d.
     """
     table = fit.table
     reach = float(min(np.abs(table.q).min(), 2 * max(np.abs(table.d))))

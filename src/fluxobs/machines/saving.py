@@ -26,7 +26,7 @@ def write_machine(
     found: Mapping[str, tuple[float, float]],
     force: bool,
 ) -> None:
-    """Write a machine file, and beside it the table of its flux map unless it is there already.
+    """Write a machine file, and the table of its flux map beside it unless the table exists.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def write_machine(
 
 
 def _save_table(path: Path, points: FluxPoints, force: bool) -> str:
-    """Copy the table if it is elsewhere; return its path relative to the machine file."""
+    """Copy the table if it is in another folder; return its path relative to the machine file."""
     source, folder = Path(points.source).resolve(), path.parent.resolve()
     if source.is_file() and source.is_relative_to(folder):
         return source.relative_to(folder).as_posix()

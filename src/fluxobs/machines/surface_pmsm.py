@@ -18,8 +18,8 @@ class SurfacePMSM(MagnetMachine):
     L_s_rated : float, optional
         Apparent inductance at the rated current [H], if it falls with the current.
     psi_f : float, optional
-        Peak phase flux linkage of the magnets [Wb]. Only a scale: the estimates do not depend on
-        it, and the observer returns its own estimate.
+        Peak phase flux linkage of the magnets [Wb]. Only a scale: no estimate depends on psi_f, and
+        the observer returns its own estimate of the flux.
     flux_map
         See :class:`SynchronousMachine`.
 

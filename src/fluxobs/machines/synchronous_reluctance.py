@@ -17,7 +17,7 @@ class SynchronousReluctance(SynchronousMachine):
     """Synchronous reluctance machine, ``(λ - L_q i)ᵀ(λ - L_d i) = 0``.
 
     The position vector ``λ - L_q i = (L_d - L_q) i_d e(θ_e)`` lies along d up to half a turn: it
-    points backwards if i_d < 0. It vanishes with i_d; the position is then not valid.
+    points backwards if i_d < 0. At i_d = 0 its length is zero, and the position is not valid.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class SynchronousReluctance(SynchronousMachine):
     kind = "synchronous-reluctance"
     inductances = ("L_d", "L_q")
     half_turn_ambiguous = True
-    shortest = _core.usual["SHORTEST_SALIENT"]  # its length depends on i_d
+    shortest = _core.usual["SHORTEST_SALIENT"]  # the length depends on i_d
     length_name = "Active flux (L_d - L_q) i_d"
 
     L_d: Positive

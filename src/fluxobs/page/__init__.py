@@ -1,7 +1,7 @@
 """The page and reports: self-contained HTML files that compute in the browser.
 
-Both are built from `web/` in the project's root (`make page`), from the package's modules in
-JavaScript and the firmware's source in WebAssembly.
+`make page` builds both from `web/` in the project's root, from the package's modules in JavaScript,
+and from the firmware's source in WebAssembly.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def with_data(template: str, data: Mapping[str, Any]) -> str:
 def in_script(data: Any) -> str:
     """Return data as JSON for a script element.
 
-    It contains no "<", so that it cannot end the element or begin a comment.
+    The JSON contains no "<", so that it cannot end the element or begin a comment.
     """
     text = json.dumps(data, ensure_ascii=False, allow_nan=False)
     # Escape lone surrogates, which file names may contain: UTF-8 cannot encode them.

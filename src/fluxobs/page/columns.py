@@ -1,7 +1,8 @@
 """Columns of numbers as compact text in an HTML file, exact or rounded.
 
-A column becomes whole numbers if it can. Their differences are split into bytes, grouped by
-significance and compressed. Text holds seven bits per character, an eighth less than base64.
+A column is converted to whole numbers if possible. The differences of these numbers are split into
+bytes, grouped by significance and compressed. Each character of the text holds seven bits, which
+makes the text an eighth shorter than base64.
 """
 
 from __future__ import annotations
@@ -16,16 +17,16 @@ from ..core.arrays import Array
 
 #: Most decimal places tried to represent a column by whole numbers.
 PLACES = 9
-#: Largest rounding error, as a share of the noise of a column: it adds 1 % to the noise.
+#: Largest rounding error, as a share of the noise of a column. Such an error adds 1 % to the noise.
 ROUNDED = 1 / 4
-#: Characters that HTML changes, or that may end a script → their replacements.
+#: Replacements of characters that HTML changes or that may end a script.
 _ESCAPED = {0: 0x80, 13: 0x81, 60: 0x82}
 #: Largest whole number whose differences fit into 32 bits.
 LARGEST = 2**30
 
 
 def exact(values: Array) -> dict[str, Any]:
-    """Encode a column exactly: as whole numbers over a power of ten if possible, else as doubles.
+    """Encode a column exactly: as whole numbers divided by a power of ten, or else as doubles.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ def _whole(whole: NDArray[np.int64], size: float, divide: bool) -> dict[str, Any
 
 
 def _packed(bytes_of_rows: NDArray[np.uint8]) -> str:
-    """Compress bytes grouped by significance, which are alike in all rows; return text."""
+    """Group bytes by significance, since they are alike in all rows; return packed text."""
     planes = np.ascontiguousarray(bytes_of_rows.T).tobytes()
     return as_text(gzip.compress(planes, 6, mtime=0))
 

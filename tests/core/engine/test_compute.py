@@ -58,7 +58,7 @@ def test_a_task_that_always_kills_its_worker_ends_the_run(scheduler: str) -> Non
 
 
 def test_a_run_ends_when_no_worker_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The only worker dies and is not replaced."""
+    """The only worker dies, and no worker replaces it."""
     pytest.importorskip("distributed")
     import distributed
 

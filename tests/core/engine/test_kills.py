@@ -20,9 +20,9 @@ from support.trivial import SIZE, drive, specification
 
 TESTS = Path(__file__).parents[2]
 SCENARIOS = 20_000
-#: Kills of a run on this machine; with those of the cluster, more than twenty.
+#: Number of kills of a run on this machine; with the cluster's kills, there are more than twenty.
 KILLS = 16
-#: Seconds in which a run must write a file, even on a slow machine.
+#: Seconds within which a run must write a file, even on a slow machine.
 PATIENCE = 120
 
 
@@ -174,7 +174,7 @@ def test_kills_of_a_cluster(tmp_path: Path) -> None:
                 kill(run.pid)
             elif victim == "scheduler":
                 kill(scheduler.pid)
-                run.wait(PATIENCE)  # it notices and exits with an error
+                run.wait(PATIENCE)  # the run exits with an error
                 assert run.returncode != 0
             else:
                 kill(rng.choice(children(workers[0].pid) or [workers[0].pid]))

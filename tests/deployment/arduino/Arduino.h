@@ -1,4 +1,4 @@
-/* The parts of Arduino's core that the exported sketches use, for a computer. */
+/* The parts of Arduino's core that the exported sketches use, to run them on a computer. */
 #pragma once
 #include <cmath>
 #include <cstdint>

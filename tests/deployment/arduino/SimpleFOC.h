@@ -1,6 +1,6 @@
 /* The declarations of SimpleFOC 2.4.0 (Sensor.h, FOCMotor.h, CurrentSense.h, foc_utils.h and drivers)
  * that the exported sensor and its example use, with the minimal behaviour for a simulated motor.
- * Names, types and defaults are SimpleFOC's; the bodies are not. */
+ * Names, types and defaults are those of SimpleFOC; the function bodies are not. */
 #pragma once
 #include "Arduino.h"
 

@@ -1,4 +1,4 @@
-/* Plays a project of ST's SDK: TSK_HighFrequencyTask around the shim, in 16 bits. */
+/* Simulates a project of ST's SDK: TSK_HighFrequencyTask calls the shim, with 16-bit numbers. */
 #include "motor.h"
 
 #include "mcsdk_declarations.h"
@@ -35,7 +35,7 @@ int main(int argc, char **argv)
             foc.Valphabeta.beta = (int16_t)lrint(-32768.0 * u[1] / volts);
             reliable = fluxobs_mcsdk_run(&foc, (uint16_t)lrint(65536.0 * bus));
         }
-        odd = !odd; /* one speed, in two units */
+        odd = !odd; /* the same speed in two units */
         motor_judge(reliable, TURN / 65536.0 * (fluxobs_speed.hElAngle - 16384),
                     odd ? TURN / 65536.0 * fluxobs_speed.hElSpeedDpp / motor.period
                         : TURN * motor_pole_pairs * fluxobs_speed.hAvrMecSpeedUnit / SPEED_UNIT,

@@ -1,4 +1,4 @@
-/* Plays MESC: its two interrupts at the counter's top, and the one at its bottom. */
+/* Simulates MESC, with two interrupts at the counter's top and one interrupt at its bottom. */
 #include "motor.h"
 
 #include "mesc_declarations.h"
@@ -27,7 +27,7 @@ int main(int argc, char **argv)
         const bool on = motor_gates();
         const double half_turn = 0.5 * motor.period * motor.speed;
         m.MotorState = on ? MOTOR_STATE_RUN : MOTOR_STATE_IDLE;
-        write(u, half_turn, top); /* the last command again, turned: INTERPOLATE_V7_ANGLE */
+        write(u, half_turn, top); /* the last command once more, turned: INTERPOLATE_V7_ANGLE */
         motor_current(i);
         m.FOC.Iab.a = (float)i[0];
         m.FOC.Iab.b = (float)i[1];

@@ -1,12 +1,14 @@
-/* A simulated servo motor and its current control, for the harnesses that play a host's firmware.
+/* A simulated servo motor and its current control, for the harnesses that simulate a host's
+ * firmware.
  *
- * The rotor follows a prescribed run-up to `turns` rad/s. The gates are off, on, off, on. At each
- * sample a harness reads the currents, calls the shim as the firmware would, asks for the next command,
- * and runs the motor with the voltages that the host's PWM applies for the commands.
+ * The rotor follows a prescribed run-up to `turns` rad/s. The gates are off, then on, off and on
+ * again. At each sample a harness reads the currents, calls the shim as the firmware would, asks
+ * for the next command, and runs the motor with the voltages that the host's PWM applies for the
+ * commands.
  *
- * A fault can be injected, so that a test can check that it is detected:
+ * A test can inject a fault, to check that the fault is detected:
  *     later     every voltage acts half a period later than in the host
- *     reversed  the current is measured with the other sign
+ *     reversed  the current is measured with the opposite sign
  *     swapped   phases b and c are swapped in the currents
  */
 #ifndef MOTOR_H
@@ -29,7 +31,7 @@ static struct {
     double integral[2];                 /* of the current control, dq [V] */
     const char *fault;
     double worst, worst_speed;          /* errors while trusted [rad], [rad/s] */
-    double off[2], settled;             /* sums at the end of the second time with the gates on */
+    double off[2], settled;             /* sums over the end of the run */
     long trusted, wrong_off, ends;
 } motor;
 
@@ -47,7 +49,7 @@ static inline bool motor_done(void)
 static inline void motor_start(int argc, char **argv, double period)
 {
     motor.period = period;
-    /* Half a period is a turn of 2.3 degrees. */
+    /* In half a period, the rotor turns by 2.3 degrees. */
     motor.full_speed = (argc > 1 ? atof(argv[1]) : 1.0) * 0.08 / period;
     motor.fault = argc > 2 ? argv[2] : "";
     motor.theta = 0.5;
@@ -138,8 +140,8 @@ static inline void motor_half(const double wanted[2])
     }
 }
 
-/* Compares the host's electrical angle [rad] and speed [rad/s], which it expects `ahead` seconds from
- * now, with the true ones; `trusted`: whether the host uses them. */
+/* Compares the host's electrical angle [rad] and speed [rad/s] with the true values; the host
+ * predicts the angle `ahead` seconds from now. `trusted` says whether the host uses them. */
 static inline void motor_judge(bool trusted, double theta, double speed, double ahead)
 {
     static double off_since;
@@ -147,7 +149,7 @@ static inline void motor_judge(bool trusted, double theta, double speed, double 
     if (motor_gates()) {
         off_since = motor.time;
     }
-    /* The host may trust the angle for 10 ms after the gates went off. */
+    /* The host may trust the angle for 10 ms after the gates were switched off. */
     if (trusted && motor.time - off_since > 0.011) {
         motor.wrong_off++;
     }

@@ -1,4 +1,4 @@
-/* Plays the VESC firmware: mcpwm_foc_adc_int_handler around the shim. */
+/* Simulates the VESC firmware: mcpwm_foc_adc_int_handler calls the shim. */
 #include "motor.h"
 
 #include "vesc_declarations.h"

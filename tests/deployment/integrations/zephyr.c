@@ -1,4 +1,4 @@
-/* Plays Zephyr, the ADC and the timer of an STM32. */
+/* Simulates Zephyr, the ADC and the timer of an STM32. */
 #include "motor.h"
 
 #include "zephyr_declarations.h"
@@ -37,7 +37,8 @@ uint32_t LL_TIM_OC_GetCompareCH1(const TIM_TypeDef *which) { return which->compa
 uint32_t LL_TIM_OC_GetCompareCH2(const TIM_TypeDef *which) { return which->compare[1]; }
 uint32_t LL_TIM_OC_GetCompareCH3(const TIM_TypeDef *which) { return which->compare[2]; }
 
-/* 12 bits over 3.3 V: the middle and 50 mV/A of the current to ground, and the bus over 31. */
+/* The ADC has 12 bits for 3.3 V. It measures the current to ground as 50 mV/A around the middle,
+ * and the bus voltage divided by 31. */
 uint16_t LL_ADC_INJ_ReadConversionData12(ADC_TypeDef *which, uint32_t rank)
 {
     double abc[3];

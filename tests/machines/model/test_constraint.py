@@ -43,7 +43,7 @@ def test_machines_on_a_trajectory(name):
     machine = MACHINES[name]
     samples = steady(machine, 1e-4, 400.0, 200, CURRENTS[name])
     residual = machine.constraint.residual(samples.flux, samples.current)
-    spread = residual - residual.mean()  # d of the interior PMSM depends on i_d: ignore it
+    spread = residual - residual.mean()  # d of the interior PMSM depends on i_d, so ignore d
     assert np.abs(spread).max() < 1e-12 * np.abs(samples.flux).max() ** 2
 
 
@@ -69,7 +69,7 @@ def test_a_current_bias_of_a_pmsm_is_invisible(L, psi):
     machine = SurfacePMSM(R_s=1, L_s=L, n_p=1, psi_f=psi)
     invisible = machine.constraint.invisible_offsets()
     assert invisible.shape == (4, 2)
-    # Every invisible offset is (L s, s): it leaves the position vector λ - L i unchanged.
+    # Every invisible offset is (L s, s), which leaves the position vector λ - L i unchanged.
     np.testing.assert_allclose(invisible[:2], L * invisible[2:], rtol=1e-9, atol=1e-12 * L)
 
 

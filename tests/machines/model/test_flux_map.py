@@ -44,7 +44,7 @@ def test_a_table_agrees_with_scipy(table):
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_c_evaluates_the_same_map(table, precision):
     observer = LeastSquaresObserver.for_machine(RELUCTANCE, sample_time=1e-4, precision=precision)
-    i = np.concatenate([currents(), currents(50, 90.0)])  # some are outside the table
+    i = np.concatenate([currents(), currents(50, 90.0)])  # some currents are outside the table
     evaluated = observer._core.mapped(np.stack([i.real, i.imag], -1), np.zeros(len(i)))
     mapped = table.at(i)
     vectors = (mapped.flux, mapped.by_d, mapped.by_q, mapped.auxiliary(i))

@@ -1,4 +1,4 @@
-"""The immersion against its states' definitions, on random trajectories and machines."""
+"""Compare the immersion with the definitions of its states, on random trajectories and machines."""
 
 import numpy as np
 import pytest

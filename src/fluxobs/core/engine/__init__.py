@@ -1,6 +1,6 @@
-"""Work in many processes, on one machine or a cluster, that survives a kill.
+"""Run tasks in many processes, on one machine or a cluster; a killed run can resume.
 
-Each task writes its own result, complete or not at all; the files written are the checkpoint.
+Each task writes its own result, complete or not at all; the written files are the checkpoint.
 """
 
 from .compute import LOCAL, POOL, compute

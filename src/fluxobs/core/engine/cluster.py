@@ -13,11 +13,11 @@ from .policy import MAX_ATTEMPTS, TASKS_PER_WORKER, GivenUp
 
 Task = TypeVar("Task")
 
-#: Longest wait for a scheduler and for its first worker [s].
+#: Longest wait for a scheduler and for the first worker [s].
 PATIENCE = 30
-#: Time that tasks wait when no worker is left [s]: Dask may fail to replace a dead one.
+#: Time that tasks wait when no worker is left [s]. Dask may fail to replace a dead worker.
 ABANDONED = 60
-#: Time for which the last count of workers is used [s].
+#: Time for which a count of workers is used again [s].
 FRESH = 2.0
 _LOST_SCHEDULER = "lost the scheduler; run the same command again to resume"
 
@@ -31,8 +31,9 @@ def in_cluster(
 ) -> Iterator[tuple[Task, Any]]:
     """See :func:`compute`; without an address, start a cluster of one thread per process.
 
-    Dask counts the death of a worker against all its tasks, the waiting ones too. A task that Dask
-    gives up is therefore tried once more alone, so that another death is its own.
+    When a worker dies, Dask counts this against all tasks of the worker, also waiting tasks. If
+    Dask gives up a task, the task is therefore tried once more alone, so that no other task can
+    cause the next death.
     """
     try:
         import dask
@@ -68,12 +69,12 @@ def in_cluster(
         upcoming = iter(tasks)
         under_way: dict[str, Task] = {}
         suspects: list[Task] = []
-        alone: set[str] = set()  # keys of suspects that are retried
+        alone: set[str] = set()  # keys of suspected tasks that are retried
         completed = as_completed(loop=client.loop, with_results=True, raise_errors=False)
         counted_at, count = 0.0, workers
 
         def count_workers() -> int:
-            """Return the number of workers, at most :data:`FRESH` old: each count is a message."""
+            """Return the number of workers; to save messages, count only every :data:`FRESH`."""
             nonlocal counted_at, count
             if time.monotonic() - counted_at > FRESH:
                 counted_at, count = time.monotonic(), max(1, len(client.ncores()))
@@ -121,6 +122,6 @@ def in_cluster(
 
 
 def _wait_for_workers(client: Any, workers: int) -> None:
-    """Wait until dead workers are replaced: Dask cannot stop a worker that is just starting."""
+    """Wait until dead workers are replaced, since Dask cannot stop a worker that is starting."""
     with suppress(TimeoutError, OSError):
         client.wait_for_workers(workers, timeout=PATIENCE)

@@ -12,7 +12,7 @@ from .policy import MAX_ATTEMPTS, GivenUp
 
 Task = TypeVar("Task")
 
-#: Names of schedulers: Dask on this machine (the pool if Dask is not installed); the pool.
+#: Names of schedulers. LOCAL is Dask on this machine, or the pool if Dask is not installed.
 LOCAL, POOL = "local", "pool"
 
 
@@ -28,26 +28,27 @@ def compute(
     scheduler: str = LOCAL,
     lost: GivenUp | None = None,
 ) -> Iterator[tuple[Task, Any]]:
-    """Do tasks in other processes; yield each with its result, in the order of completion.
+    """Do tasks in other processes; yield each task with its result, in the order of completion.
 
     Parameters
     ----------
     tasks : iterable
-        Taken as workers become free; small things that can be pickled.
+        Small objects that can be pickled; the next task is read when a worker becomes free.
     work : callable
-        A module-level function, or a partial of one. A task may be done twice and must then give
-        the same result.
+        A module-level function, or a partial of such a function. A task may be done twice and must
+        then give the same result.
     workers : int, optional
-        Processes on this machine; default one per processor.
+        Processes on this machine; by default, one per processor.
     scheduler : str
         "local", "pool", or the address of a Dask scheduler (``tcp://host:8786``).
     lost : callable, optional
-        Returns the result of a task whose worker died five times. By default the run ends.
+        Function that returns the result of a task whose worker died five times. By default the run
+        ends.
 
     Raises
     ------
     FluxobsError
-        Raised by `work`; or a task's worker died five times; or the scheduler cannot be reached.
+        `work` raised it, a task's worker died five times, or the scheduler cannot be reached.
     """
     if scheduler not in (LOCAL, POOL) and "://" not in scheduler:
         raise UsageError(

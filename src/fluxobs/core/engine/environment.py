@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-#: Variable with the folder of compiled simulations; set here unless the user has set it.
+#: Variable with the folder of compiled simulations; a value that the user has set is kept.
 CACHE = "JAX_COMPILATION_CACHE_DIR"
 
 
 def _processor() -> str:
-    """Return a hash of the processor type: code compiled for one may not run on another."""
+    """Return a hash of the processor type; compiled code may not run on another type."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         features = next(line for line in lines if line.startswith(("flags", "Features")))
@@ -24,7 +24,7 @@ def _processor() -> str:
 
 
 def variables() -> dict[str, str]:
-    """Return the environment variables to add for a worker; the user's own are not changed."""
+    """Return environment variables to add for a worker; the user's variables stay unchanged."""
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     settings = {
         "OMP_NUM_THREADS": "1",

@@ -1,4 +1,4 @@
-"""A folder of results: used by one run at a time, its files complete or absent."""
+"""A folder of results for one run at a time, with files that are complete or absent."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def locked(folder: Path) -> Iterator[None]:
     Raises
     ------
     FluxobsError
-        Another process uses the folder, it cannot be written, or it contains a link.
+        Another process uses the folder, or the folder cannot be written or contains a link.
     """
     with os.fdopen(open_own(folder / ".lock"), "wb") as handle:
         if not lock(handle.fileno()):
             raise FluxobsError(
-                f"{folder}: another run uses this folder; wait until it ends, or stop it"
+                f"{folder}: another run uses this folder; wait until the run ends, or stop the run"
             )
         _tidy(folder)
         yield
@@ -39,7 +39,7 @@ def locked(folder: Path) -> Iterator[None]:
 def _tidy(folder: Path) -> None:
     """Remove unfinished files of a killed run; refuse links to folders.
 
-    Through such a link, results would be written and removed elsewhere.
+    Through such a link, the run would write and remove files elsewhere.
     """
     for root, folders, files in os.walk(folder):
         for name in folders:
@@ -55,7 +55,7 @@ def write_part(frame: pl.DataFrame, path: Path) -> None:
     Raises
     ------
     FluxobsError
-        The file cannot be written: disk full, no permission.
+        The file cannot be written (disk full, no permission).
     """
     unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex}{UNFINISHED}")
     try:

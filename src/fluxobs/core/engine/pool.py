@@ -15,7 +15,7 @@ from .policy import MAX_ATTEMPTS, TASKS_PER_WORKER, GivenUp
 
 Task = TypeVar("Task")
 
-#: Longest wait of the driver [s]: it then notices a Ctrl-C that another thread received.
+#: Longest wait of the driver [s]; after it, the driver notices a Ctrl-C of another thread.
 WAKE_UP = 0.5
 
 
@@ -37,8 +37,8 @@ def in_pool(
 ) -> Iterator[tuple[Task, Any]]:
     """See :func:`compute`.
 
-    When a worker dies, the pool does not say which task it had. All tasks under way are repeated,
-    one at a time; a task that always kills its worker then affects no other.
+    When a worker dies, the pool does not say which task the worker had. All tasks under way are
+    repeated, one at a time; a task that always kills its worker then affects no other task.
     """
     upcoming = iter(tasks)
     retries: list[tuple[Task, int]] = []  # task, number of attempts so far
@@ -70,7 +70,7 @@ def in_pool(
                 if not under_way:
                     break
                 for future in wait(under_way, WAKE_UP, FIRST_COMPLETED).done:
-                    result = future.result()  # raises if the pool broke; the task stays under way
+                    result = future.result()  # may raise; the task then stays in under_way
                     task, _ = under_way.pop(future)
                     yield task, result
         except BrokenProcessPool:
@@ -87,7 +87,7 @@ def in_pool(
 
 
 def _kill_workers(pool: ProcessPoolExecutor) -> None:
-    """Kill the workers at once: a run that is stopped does not wait for their tasks."""
+    """Kill the workers at once, since a stopped run does not wait for their tasks."""
     if hasattr(pool, "kill_workers"):  # Python 3.14 and later
         pool.kill_workers()
         return

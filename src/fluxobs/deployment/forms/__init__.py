@@ -1,4 +1,4 @@
-"""Forms of an export around the same C sources, parameters and record."""
+"""Forms of an export, which all contain the same C sources, parameters and record."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ..core import Core
 
 
-#: Form → command, or place, that tests an export in ``{folder}``. Each form is a module of this
+#: Command or place that tests an export in ``{folder}``, by form. Each form is a module of this
 #: package with a function ``files``.
 FORMS = {
     "c": "make -C {folder} test",
@@ -24,7 +24,7 @@ FORMS = {
 
 
 def files_of(form: str) -> Callable[[Core], dict[str, str | bytes]]:
-    """Return the function that turns a core into the files of a form, relative path → content.
+    """Return the function that turns a core into the files of a form, by relative path.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from typing import Any
 from ...errors import FluxobsError
 from ..folder import write_folder
 
-#: Double precision without contraction: the same bits on every system.
+#: Options for double precision without fused operations, for the same bits on every system.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-DFO_SINGLE=0")
 
 
@@ -61,7 +61,7 @@ def compile_shared(
 
 
 def compile_wasm(compiler: Sequence[str], files: Mapping[str, str]) -> bytes:
-    """Return a WebAssembly module without imports; raise as :func:`compile_shared`."""
+    """Return a WebAssembly module without imports; raise the errors of :func:`compile_shared`."""
     return _compile(compiler, files, ["-Wl,--strip-all"], [])
 
 

@@ -23,7 +23,7 @@ TEMPLATES = {
 
 
 def files(core: Core) -> dict[str, str | bytes]:
-    """Return relative path → content."""
+    """Return the contents of the files, by relative path."""
     runtime = joined(core.runtime, configuration_files(core.prefix, core.single))
     return joined(
         core.code,

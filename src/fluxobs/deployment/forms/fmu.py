@@ -1,6 +1,6 @@
 """Units for co-simulation, FMI 3.0 and 2.0: sources, and binaries for common systems.
 
-The standards: https://fmi-standard.org, versions 3.0 and 2.0.4.
+The standards are at https://fmi-standard.org, versions 3.0 and 2.0.4.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ..variables import (
 )
 from . import build
 
-#: Name of the binary's folder in FMI 3.0 and in FMI 2.0 → zig's name of the target, suffix.
+#: Target of zig and suffix of the library, by the folder of the binary in FMI 3.0 and FMI 2.0.
 TARGETS = {
     ("x86_64-linux", "linux64"): ("x86_64-linux-gnu.2.17", ".so"),
     ("aarch64-linux", None): ("aarch64-linux-gnu.2.17", ".so"),
@@ -36,7 +36,7 @@ TARGETS = {
     ("x86_64-darwin", "darwin64"): ("x86_64-macos", ".dylib"),
     ("aarch64-darwin", None): ("aarch64-macos", ".dylib"),
 }
-#: Units in the base units of FMI.
+#: Each unit as a product of the base units of FMI.
 UNITS = {
     "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
     "A": {"A": 1},
@@ -51,7 +51,7 @@ DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def files(core: Core) -> dict[str, str | bytes]:
-    """Return relative path → content.
+    """Return the contents of the files, by relative path.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def _sources(core: Core, version: int) -> dict[str, str]:
 
 
 def _binaries(identifier: str, sources: Mapping[str, str], version: int) -> dict[str, bytes]:
-    """Return path within the unit → library, for each system with a compiler here."""
+    """Return the library for each system with a compiler here, by its path within the unit."""
     binaries = {}
     here = "-".join(build.host())
     for (fmi3_name, fmi2_name), (target, suffix) in TARGETS.items():
@@ -177,9 +177,9 @@ def _description(core: Core, identifier: str, version: int, sources: Mapping[str
             "modelName": f"fluxobs observer for {core.prefix}",
             token: _token(core),
             "description": f"Flux, position and speed of an electrical machine; content "
-            f"{core.content}. A step takes the voltage of the last interval and the current at its "
-            f"end. Outputs belong to the instant at which the inputs were set and are read one "
-            f"communication step later.",
+            f"{core.content}. A step uses the voltage of the last interval and the current at the "
+            f"end of that interval. Outputs belong to the instant at which the inputs were set "
+            f"and are read one communication step later.",
             "generationTool": f"fluxobs {core.version}",
             "license": "MIT",
             "variableNamingConvention": "flat",

@@ -1,4 +1,4 @@
-"""A Rust crate without dependencies around the C sources."""
+"""A Rust crate without dependencies that contains the C sources."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..folder import joined
 from ..templating import fill
 from ..variables import Variable, c_values, check_every_step, output_variables, record_csv
 
-#: Further sources for door.c: start from a known angle.
+#: Sources that door.c needs to start from a known angle.
 SEED = ("fluxobs_seed.h", "fluxobs_seed.c")
 TEMPLATES = {
     "Cargo.toml": "Cargo.toml",
@@ -24,7 +24,7 @@ TEMPLATES = {
 
 
 def files(core: Core) -> dict[str, str | bytes]:
-    """Return relative path → content.
+    """Return the contents of the files, by relative path.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from . import build
 
 
 def files(core: Core) -> dict[str, str | bytes]:
-    """Return relative path → content.
+    """Return the contents of the files, by relative path.
 
     Raises
     ------

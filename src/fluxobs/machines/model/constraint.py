@@ -25,19 +25,19 @@ def _freeze(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class QuadraticConstraint:
-    """One relation ``0 = λᵀQ1 λ + λᵀQ2 i + iᵀQ3 i + Eᵀλ + Cᵀi + d``.
+    """The relation ``0 = λᵀQ1 λ + λᵀQ2 i + iᵀQ3 i + Eᵀλ + Cᵀi + d``.
 
-    Assumption 1 of the paper, plus the linear term ``Eᵀλ`` for magnet-biased coils. Only the
+    It is Assumption 1 of the paper plus the linear term ``Eᵀλ`` for magnet-biased coils. Only the
     symmetric parts of Q1 and Q3 matter, so they are symmetrised on input.
 
     Parameters
     ----------
     Q1, Q2, Q3 : (n, n) array_like
-        Consistent units; for the machines here Q1 = I, Q2 in H, Q3 in H².
+        Units must be consistent. For the machines here, Q1 = I, Q2 is in H and Q3 in H².
     E, C : (n,) array_like, optional
         Default 0.
     d : float, optional
-        Default 0. No observer needs it: the immersion's state s absorbs it.
+        Default 0. No observer needs d, because the immersion's state s contains it.
 
     Raises
     ------
@@ -110,9 +110,9 @@ class QuadraticConstraint:
         return np.block([[2 * self.Q1, self.Q2], [self.Q2.T, 2 * self.Q3]])
 
     def invisible_offsets(self) -> Array:
-        """Return constant offsets of (λ, i) that the relation cannot detect, (2n, k).
+        """Return constant offsets of (λ, i) that the relation cannot detect; shape (2n, k).
 
-        See the function :func:`invisible_offsets`, which takes several relations.
+        The function :func:`invisible_offsets` does the same for several relations.
         """
         return invisible_offsets([self])
 
@@ -124,11 +124,12 @@ def invisible_offsets(
 ) -> Array:
     """Return constant offsets of (λ, i) that no record can reveal.
 
-    They form the null space of the relations' stacked Hessians, restricted to possible offsets.
-    With unknown drift alone the current has no offset. With unknown current bias alone R s = 0,
-    else the flux offset would drift. If the null space is empty, excitation reveals all unknowns.
-    For a surface PMSM with both unknowns it is spanned by (L s, s), which leaves λ - L i, and hence
-    the position, unchanged. See docs/theory.md, section 3.
+    These offsets form the null space of the relations' stacked Hessians, restricted to possible
+    offsets. If only the drift is unknown, the current has no offset. If only the current bias is
+    unknown, R s = 0, because otherwise the flux offset would drift. If the null space is empty,
+    excitation reveals all unknowns. For a surface PMSM with both unknowns, the offsets (L s, s)
+    span the null space; they change neither λ - L i nor the position. See docs/theory.md, section
+    3.
 
     Parameters
     ----------
@@ -144,7 +145,8 @@ def invisible_offsets(
     """
     n, unknown = relations[0].n, set(unknowns)
     hessians = np.stack([relation.hessian() for relation in relations])
-    # Ports, fluxes and currents differ in size: balance rows and columns before finding the rank.
+    # Ports, fluxes and currents differ in magnitude: scale rows and columns before finding the
+    # rank.
     scale = np.ones(2 * n)
     for _ in range(20):
         largest = np.abs(scale[:, None] * hessians * scale).max(axis=(0, 1))
@@ -155,7 +157,7 @@ def invisible_offsets(
         rows.append(np.hstack([zero, np.eye(n)]))
     elif "drift" not in unknown:
         if R is None:
-            raise ModelError("R is missing: with current-bias alone, the drift is R times the bias")
+            raise ModelError("R is missing; it gives the drift if only the current bias is unknown")
         rows.append(np.hstack([zero, np.asarray(R, float) * scale[n:]]))
     stacked = np.vstack(rows)
     sizes = np.abs(stacked).max(axis=1, keepdims=True)

@@ -22,24 +22,24 @@ Complex = NDArray[np.complex128]
 
 #: Prefixes of the fields that describe an axis of a table.
 SPAN = ("least", "most", "over")
-#: Iterations between a map and its angle: each squares the error.
+#: Iterations between a map and its angle; each iteration squares the error.
 ROUNDS = 6
-#: Keeps the direction of a zero vector finite [Wb].
+#: Added to a length so that the direction of a zero vector is finite [Wb].
 TINY = 1e-300
-#: Degree of the splines: inductances are continuous, and a point of the map needs nine
-#: coefficients. Cubic splines need sixteen and give no better angle.
+#: Degree of the splines. With degree 2, inductances are continuous, and a point of the map needs
+#: nine coefficients. Cubic splines need sixteen and give no better angle.
 DEGREE = 2
 
 
 class Mapped(NamedTuple):
-    """A map's flux d + j q [Wb] and its derivatives by i_d and i_q [H] at currents, each (...)."""
+    """Flux d + j q [Wb] of a map and its derivatives by i_d and i_q [H]; each has shape (...)."""
 
     flux: Complex
     by_d: Complex
     by_q: Complex
 
     def auxiliary(self, current: ArrayLike) -> Complex:
-        """Return ``F + j J(j i)`` [Wb]; its real part is the active flux."""
+        """Return ``F + j J(j i)`` [Wb], whose real part is the active flux."""
         i = np.asarray(current, complex)
         return np.asarray(self.flux + 1j * (self.by_q * i.real - self.by_d * i.imag))
 
@@ -49,28 +49,28 @@ class FluxMap:
 
     #: Kind of map in firmware/fluxobs_map.h.
     code: ClassVar[int]
-    #: Whether there are magnets (or a rotor flux): F(0) is not 0.
+    #: Whether F(0) is not 0, because of magnets or a rotor flux.
     magnets: bool
 
     def at(self, current: ArrayLike) -> Mapped:
-        """Return flux and derivatives at currents in rotor coordinates d + j q [A], (...)."""
+        """Return flux and derivatives at currents d + j q [A], in rotor coordinates."""
         raise NotImplementedError
 
     def flux(self, current: ArrayLike) -> Complex:
-        """Return the flux [Wb] at currents [A], both in rotor coordinates d + j q, (...)."""
+        """Return the flux d + j q [Wb] at currents d + j q [A], in rotor coordinates."""
         return self.at(current).flux
 
     def position_vector(
         self, flux: ArrayLike, current: ArrayLike, L_q: float
     ) -> tuple[Complex, Complex, Complex]:
-        """Return position vectors λ - e^{jφ}(F - a_d), where φ is their angle, (...).
+        """Return position vectors λ - e^{jφ}(F - a_d), whose angle is φ; shape (...).
 
         Parameters
         ----------
         flux, current : array_like
-            α + j β [Wb], [A], (...).
+            α + j β [Wb], [A]; shape (...).
         L_q : float
-            Inductance of the initial angle, that of λ - L_q i [H].
+            Inductance [H]; the iteration starts at the angle of λ - L_q i.
 
         Returns
         -------
@@ -88,7 +88,7 @@ class FluxMap:
         return x, i_dq, a
 
     def outside(self, current: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether currents are outside the map's range, where it is extrapolated, (...)."""
+        """Return whether currents are outside the map's range, where the map is extrapolated."""
         return np.zeros(np.shape(current), bool)
 
     def fields(self) -> dict[str, Any]:
@@ -121,7 +121,7 @@ class FluxMap:
 
 @dataclass(frozen=True)
 class LinearMap(FluxMap):
-    """``psi + L_d i_d + j L_q i_q`` [Wb], [H]."""
+    """The map ``psi + L_d i_d + j L_q i_q``, with psi in Wb and inductances in H."""
 
     psi: float
     L_d: float
@@ -148,7 +148,7 @@ class LinearMap(FluxMap):
 
 @dataclass(frozen=True)
 class CageMap(FluxMap):
-    """``psi + L_sigma i``, d along the rotor flux of length ψ: ``dψ/dt = R_R (i_d - ψ/L_M)``.
+    """``psi + L_sigma i``; the rotor flux has the length ψ with ``dψ/dt = R_R (i_d - ψ/L_M)``.
 
     Parameters
     ----------
@@ -163,8 +163,8 @@ class CageMap(FluxMap):
     still : float
         Change of i_d below which the rotor flux counts as constant [A].
     offset : float
-        Std of the current offsets [A]. In a drive that regulates the measured current they make the
-        true i_d ripple at the stator frequency ω. The rotor flux then ripples by ``R_R
+        Std of the current offsets [A]. If a drive regulates the measured current, these offsets
+        make the true i_d ripple at the stator frequency ω. The rotor flux then ripples by ``R_R
         offset/√(ω² + (R_R/L_M)²)``, which looks like an offset of the flux.
     """
 
@@ -275,7 +275,7 @@ class TableMap(FluxMap):
 
 
 def weights(x: Array, span: Array, intervals: int) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return the first of the three splines at x in `span`, their values and derivatives.
+    """Return the index of the first spline at x in `span`, and values and slopes of all three.
 
     The shapes are (...), (..., 3) and (..., 3).
     """
@@ -290,8 +290,8 @@ def weights(x: Array, span: Array, intervals: int) -> tuple[NDArray[np.int64], A
 
 
 def basis(x: Array, span: Array, intervals: int, derivative: int = 0) -> Array:
-    """Return all B-splines over `span` in equal intervals, or derivatives, (len(x), splines)."""
-    from scipy.interpolate import BSpline  # import only when a table is fitted
+    """Return B-splines over equal intervals, or their derivatives; shape (len(x), splines)."""
+    from scipy.interpolate import BSpline  # imported only when a table is fitted
 
     step = (span[1] - span[0]) / intervals
     knots = span[0] + step * np.arange(-DEGREE, intervals + DEGREE + 1)

@@ -11,11 +11,11 @@ from ...core.arrays import Array
 from ...errors import ModelError
 from .flux_map import DEGREE, TableMap, basis
 
-#: Intervals of a table in each direction: 6 KB in single precision.
+#: Intervals of a table in each direction; this table has 6 KB in single precision.
 INTERVALS = 24
-#: Candidate weights of the mean squared second derivative against the mean squared error.
-#: Generalized cross-validation chooses among them (Craven and Wahba 1979, doi:10.1007/BF01404567):
-#: it follows computed maps exactly and averages the noise of measured ones.
+#: Candidate weights of the mean squared second derivative relative to the mean squared error.
+#: Generalized cross-validation chooses one weight (Craven and Wahba 1979, doi:10.1007/BF01404567),
+#: so that a table follows computed maps exactly and averages the noise of measured maps.
 SMOOTHNESS = np.logspace(-12, -3, 19)
 #: Largest difference of ∂ψ_d/∂i_q and ∂ψ_q/∂i_d in a good map, as a share of the mean inductance.
 RECIPROCITY = 0.05
@@ -31,8 +31,8 @@ class FittedTable:
     residual : float
         Root mean square of the fit's residuals [Wb].
     reciprocity : float
-        Root mean square of ∂ψ_d/∂i_q - ∂ψ_q/∂i_d at the points, over the mean inductance; 0 for a
-        machine without losses.
+        Root mean square of ∂ψ_d/∂i_q - ∂ψ_q/∂i_d at the points, divided by the mean inductance; 0
+        for a machine without losses.
     """
 
     table: TableMap
@@ -58,7 +58,7 @@ def add_mirror_images(
 def fit_table(
     current: ArrayLike, flux: ArrayLike, magnets: bool, intervals: int = INTERVALS
 ) -> FittedTable:
-    """Fit a table to points on a grid or scattered.
+    """Fit a table to points, on a grid or scattered.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def fit_table(
     Raises
     ------
     ModelError
-        A point is not finite, the points do not span a range, or no machine has this map.
+        A point is not finite, the points do not span a range, or the map is implausible.
     """
     i, psi = np.asarray(current, complex).ravel(), np.asarray(flux, complex).ravel()
     if i.shape != psi.shape:
@@ -102,8 +102,8 @@ def fit_table(
     for L, name in ((L_d, "d"), (L_q, "q")):
         if not L > 0:
             raise ModelError(
-                f"psi_{name} falls with i_{name} in the map: currents are positive into the "
-                f"machine, d points along {'the magnets' if magnets else 'high permeance'}"
+                f"psi_{name} falls with i_{name} in the map: currents must be positive into the "
+                f"machine, and d must point along {'the magnets' if magnets else 'high permeance'}"
             )
     asymmetry = float(
         np.sqrt(np.mean((mapped.by_q.real - mapped.by_d.imag) ** 2)) / ((L_d + L_q) / 2)
@@ -112,11 +112,11 @@ def fit_table(
 
 
 def _fit_smoothly(design: Array, target: Array, roughness: Array) -> Array:
-    """Solve a penalized least squares with the weight chosen by cross-validation."""
+    """Solve penalized least squares; cross-validation chooses the weight of the penalty."""
     points, splines = design.shape
     gram = design.T @ design / points
-    # Corners without points leave splines undetermined: a small multiple of the identity keeps the
-    # problem regular.
+    # Without points in the corners, some splines are undetermined: a small multiple of the identity
+    # keeps the problem regular.
     scale = np.trace(gram) / splines
     root = np.linalg.cholesky(gram + SMOOTHNESS[0] * scale * (roughness + np.eye(splines)))
     penalty = np.linalg.solve(root, np.linalg.solve(root, roughness).T)

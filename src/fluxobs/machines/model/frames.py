@@ -14,8 +14,8 @@ from ...core.arrays import Array
 Frame = Literal["alphabeta", "abc", "line", "duty", "dq", "ports"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
-#: Voltage channels of each frame, then its current channels. Two of three phases suffice, since
-#: their sum is zero; for phase voltages only if measured to neutral.
+#: Voltage channels of each frame, then the current channels. Two of three phases suffice, since the
+#: sum of all three is zero. For phase voltages this is true only if they are measured to neutral.
 VOLTAGES: dict[Frame, tuple[str, ...]] = {
     "alphabeta": ("u_alpha", "u_beta"),
     "abc": ("u_a", "u_b", "u_c"),
@@ -41,13 +41,13 @@ def clarke(a: Array, b: Array, c: Array) -> Array:
 
 
 def three_phases(channels: dict[str, Array], names: tuple[str, ...]) -> list[Array]:
-    """Return three phases, whose sum is zero, from all or any two of them."""
+    """Return three phases whose sum is zero, given all three or any two."""
     given = {name: channels[name] for name in names if name in channels}
     return [given[name] if name in given else -np.sum(list(given.values()), 0) for name in names]
 
 
 def rotate(vector: Array, angle: Array) -> Array:
-    """Rotate (rows, 2) vectors by angles: from a rotor frame at `angle` to αβ."""
+    """Rotate vectors from a rotor frame at `angle` to αβ; shape (rows, 2)."""
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = vector[:, 0], vector[:, 1]
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
@@ -65,7 +65,7 @@ def angle_error(estimated: Array, true: Array, half_turn: bool = False) -> Array
 
 
 def native_voltage(frame: Frame, channels: dict[str, Array]) -> Array:
-    """Return the voltage vector of each row, in αβ or, for the frame dq, still in dq."""
+    """Return the voltage vector of each row in αβ; for the frame dq, it remains in dq."""
     names = VOLTAGES[frame]
     match frame:
         case "alphabeta" | "dq" | "ports":

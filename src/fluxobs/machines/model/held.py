@@ -1,8 +1,8 @@
 """Voltages held over a sample, like the mean voltage of an inverter.
 
 Each step of such a voltage causes a kink in the current. The observers compute the mean current of
-an interval from a cubic through four samples, which misses the kinks between them. The missing part
-is the response of the machine's R and L to the voltage steps.
+an interval from a cubic through four samples, which misses the kinks between the samples. The
+missing part is the response of the machine's R and L to the voltage steps.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ...errors import ObserverError
 
 AnyArray = NDArray[Any]
 
-#: Share R h/L from which kinks are corrected by default: with 14 samples per period, neglected
+#: By default, kinks are corrected from this share R h/L on. With 14 samples per period, neglected
 #: kinks turn the flux by R h/L times two degrees.
 MATTERS: float = _core.usual["MATTERS"]
 #: Weights of the cubic through the last four samples for the last interval, newest first, times 24.
@@ -27,7 +27,7 @@ Held = bool | Literal["auto"]
 
 
 def held_share(held: Held, share: float) -> float:
-    """Return the share R h/L if voltages are held, else 0; "auto": only if it matters.
+    """Return the share R h/L if voltages are held, else 0; with "auto" also 0 if it is small.
 
     Raises
     ------
@@ -43,18 +43,18 @@ def kink_weights(share: float) -> tuple[float, float]:
     """Return the weights of the last two voltage steps in the cubic's error, latest first.
 
     The error is in the volt-seconds of the resistive drop; `share` is R h/L. A step Δu at the start
-    of an interval adds ``(1 - exp(-t R/L)) Δu/R`` to the current. Its weight is the mean of that
-    response over the last interval minus the cubic's mean, over Δu/R. Older steps lie at or before
-    the oldest of the four samples; the cubic follows the response to them
-    (firmware/fluxobs_config.c).
+    of an interval adds ``(1 - exp(-t R/L)) Δu/R`` to the current. The weight of a step is the mean
+    of this response over the last interval minus the mean of the cubic, divided by Δu/R. Older
+    steps, at or before the oldest of the four samples, need no weight, because the cubic follows
+    their response (firmware/fluxobs_config.c).
     """
     return _core.kink_weights(share)
 
 
 def mean_current(current: AnyArray, axis: int = -1) -> AnyArray:
-    """Return the mean over the interval ending at each row, by the cubic through four samples.
+    """Return the mean over the interval that ends at each row, from a cubic through four samples.
 
-    The current before the first row is assumed constant. `axis` is that of the rows.
+    The current before the first row is assumed constant. `axis` is the axis of the rows.
     """
     i = np.moveaxis(current, axis, -1)
     padded = np.concatenate([np.repeat(i[..., :1], 3, axis=-1), i], axis=-1)
@@ -65,7 +65,7 @@ def mean_current(current: AnyArray, axis: int = -1) -> AnyArray:
 def without_kinks(voltage: AnyArray, share: float, axis: int = -1) -> AnyArray:
     """Subtract the kinks' part of the resistive drop from held voltages [V].
 
-    A step from or to a missing voltage counts as zero. `axis` is that of the rows.
+    A step from or to a missing voltage counts as zero. `axis` is the axis of the rows.
     """
     if share == 0:
         return voltage

@@ -4,10 +4,11 @@ State ``x = (s_1 … s_r, λ, κ_1 … κ_r, θ, c_1 … c_r, δ)`` with one ``(
 
     s = λᵀQ1λ + Eᵀλ + d - λᵀQ2δ + δᵀQ3δ - Cᵀδ    κ = θᵀ(2 Q1 λ - Q2 δ + E)    c = θᵀQ1θ
 
-θ is the drift, ``λ̇ = y_m + θ``. δ is the current bias, part of the state only if it is unknown. If
-it is the only unknown, ``θ = R δ`` and the state has no θ. With the volt-seconds ``v = ∫ y_m dt``
-of a sample the transition is exact at any sampling rate, without discretisation. docs/theory.md,
-section 4, derives it. The C core is the case of one relation, two ports and unknown drift.
+θ is the drift, ``λ̇ = y_m + θ``. δ is the current bias, which is part of the state only if it is
+unknown. If δ is the only unknown, ``θ = R δ`` and the state has no θ. With the volt-seconds ``v = ∫
+y_m dt`` of a sample the transition is exact at any sampling rate, without discretisation.
+docs/theory.md, section 4, derives it. The C core is the case of one relation, two ports and unknown
+drift.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Immersion:
     Parameters
     ----------
     relations : QuadraticConstraint, or a tuple of several
-        All with the same number n of ports.
+        All relations must have the same number n of ports.
     unknowns : tuple of {"drift", "current-bias"}
         The unknown constants.
     R : (n, n) array_like, optional
@@ -75,7 +76,7 @@ class Immersion:
                 f"unknowns must be some of {', '.join(UNKNOWNS)}, got {', '.join(sorted(unknowns))}"
             )
         if unknowns == {"current-bias"} and self.R is None:
-            raise ModelError("R is missing: with current-bias alone, the drift is R times the bias")
+            raise ModelError("R is missing; it gives the drift if only the current bias is unknown")
         set_field = partial(object.__setattr__, self)
         set_field("relations", relations)
         set_field("unknowns", tuple(name for name in UNKNOWNS if name in unknowns))
@@ -109,7 +110,7 @@ class Immersion:
     ) -> FloatArray:
         """Return the state for flux [Wb], drift [V] and current bias [A], each (n,).
 
-        If the current bias is the only unknown, the drift is R times it: do not give it.
+        If the current bias is the only unknown, do not give the drift: it is R times the bias.
         """
         x = np.asarray(flux)
         zero = np.zeros(self.n, dtype=x.dtype)
@@ -138,7 +139,7 @@ class Immersion:
         return state
 
     def transition(self, h: float, volt_seconds: ArrayLike) -> FloatArray:
-        """Return F(h, v) of ``x₊ = F x + input``: unit upper triangular, ``F(h, v)⁻¹ = F(-h, -v)``.
+        """Return F(h, v) of ``x₊ = F x + input``, unit upper triangular; ``F(h, v)⁻¹ = F(-h, -v)``.
 
         Parameters
         ----------
@@ -183,7 +184,7 @@ class Immersion:
         return increment
 
     def output_rows(self, current: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return rows H, (r, size), and values y, (r,), of ``y = H x``: the relations at i_m."""
+        """Return H (r, size) and y (r,) of ``y = H x``, which are the relations at i_m."""
         i = np.asarray(current)
         rows = np.zeros((len(self.relations), self.size), dtype=np.result_type(i, float))
         rows[:, self.slices["s"]] = np.eye(len(self.relations))

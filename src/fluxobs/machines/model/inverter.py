@@ -10,8 +10,8 @@ from ... import _core
 from ...core.arrays import Array
 from .frames import clarke
 
-#: The sign of a phase current is smoothed below this share of the current's scale: near zero
-#: the switches' capacitances, not the dead time, determine the voltage.
+#: Below this share of the current's scale, the sign of a phase current is smoothed, because near
+#: zero the switches' capacitances, not the dead time, determine the voltage.
 SMOOTHING: float = _core.usual["SMOOTHING"]
 
 
@@ -51,7 +51,8 @@ class InverterError:
     def lost(self, before: Array, now: Array) -> Array:
         """Return the mean voltage lost over intervals, (rows, 2) [V].
 
-        `before` and `now` are the currents at start and end; where one is missing the loss is zero.
+        `before` and `now` are the currents at start and end; if a current is missing, the loss is
+        zero.
         """
         direction = inverter_direction((before + now) / 2, self.current)
         return self.voltage * np.nan_to_num(direction)

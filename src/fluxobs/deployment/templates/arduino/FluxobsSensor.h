@@ -1,9 +1,10 @@
-/* The flux observer in place of an encoder, for SimpleFOC 2.3 or newer (include SimpleFOC.h first).
+/* The flux observer as a SimpleFOC sensor instead of an encoder, for SimpleFOC 2.3 or newer
+ * (include SimpleFOC.h first).
  *
- * Each time SimpleFOC asks for the angle, it reads the phase currents, takes the voltage that SimpleFOC
- * has set since the last time, and returns the angle of the magnets. Hence zero_electric_angle is 0,
- * sensor_direction is CW, and no alignment is needed. The angle of the shaft is ambiguous by multiples
- * of 360 degrees over the pole pairs.
+ * Each time SimpleFOC asks for the angle, this sensor reads the phase currents and the voltage that
+ * SimpleFOC has set since the last time, and returns the angle of the magnets. Hence
+ * zero_electric_angle is 0, sensor_direction is CW, and no alignment is needed. The angle of the
+ * shaft is ambiguous by multiples of 360 degrees divided by the pole pairs.
  *
  * The position is not observable at standstill. Start in open loop; handOver() closes the loop once the
  * position is valid, and opens it again after the position has been lost.
@@ -20,8 +21,9 @@
 
 class FluxobsSensor : public Sensor {
 public:
-    /* Time for which the position must be valid before the loop closes, and lost before it opens again
-     * [s]; largest standard deviation for closing it [rad]. */
+    /* Time [s] for which the position must be valid before the loop closes; time [s] for which the
+     * position must be lost before the loop opens again; largest standard deviation [rad] at which
+     * the loop closes. */
     float settle_time = 0.02f, patience = 0.05f, settled_std = 0.035f;
 
     /* `parameters` must be those of this motor; voltages in V, currents in A. */
@@ -42,7 +44,8 @@ public:
         const float duration = 1e-6f * (float)(now - last);
         const ABCurrent_s i = currents.getABCurrents(currents.getPhaseCurrents());
         const fo_real current[FO_N] = {i.alpha, i.beta};
-        /* SimpleFOC set this voltage after the last update. With the gates off it is unknown. */
+        /* SimpleFOC set this voltage after the last update. With the gates off, the voltage is
+         * unknown. */
         const bool driven = on && motor.enabled != 0;
         const fo_real voltage[FO_N] = {driven ? motor.Ualpha : NAN, driven ? motor.Ubeta : NAN};
         @fo@_step_for(&observer, &state, duration, voltage, current, &estimate);
@@ -67,7 +70,8 @@ public:
         if (motor.controller == open_loop && valid_for > settle_time && sure) {
             motor.controller = closed_loop;
         } else if (motor.controller == closed_loop && lost_for > patience) {
-            /* In open loop the magnets follow the voltage, 90 degrees ahead of this angle. */
+            /* In open loop the voltage is 90 degrees ahead of this angle, and the magnets follow
+             * the voltage. */
             motor.shaft_angle =
                 (estimate@position@.theta_e_tracked - 1.57079633f) / (float)motor.pole_pairs;
             motor.controller = open_loop;

@@ -12,8 +12,9 @@ enum { LENGTH = @psi_f_column@, VALID = @valid_column@, ANGLE = @angle_column@ }
 static const double TURN = 6.283185307179586;
 static @fo@_state state;
 
-/* Calls the observer as the example interrupt does. If it steps only every few interrupts, the row's
- * voltage acts in all of them, and the current is interpolated linearly between rows. */
+/* Calls the observer as the example interrupt does. If the observer steps only every few
+ * interrupts, the row's voltage acts in all these interrupts, and the current is interpolated
+ * linearly between rows. */
 static void step(int row, fo_gathered *gathered, @fo@_estimate *estimate)
 {
     const fo_real *voltage = &samples[row][0], *current = &samples[row][2];

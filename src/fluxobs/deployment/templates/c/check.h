@@ -1,5 +1,5 @@
-/* Replays the test vectors and compares the results with those of the fluxobs library. It runs on the
- * target too: no input, no output, about 70 KB of constants. */
+/* Replays the test vectors and compares the results with those of the fluxobs library. This check
+ * also runs on the target, with no input or output and about 70 KB of constants. */
 #ifndef CHECK_H
 #define CHECK_H
 
@@ -14,12 +14,12 @@ extern "C" {
 #endif
 
 typedef struct {
-    int damaged;       /* the vectors differ from those exported */
-    int rows;          /* number compared */
-    int wrong;         /* of these, number that differ */
+    int damaged;       /* the vectors differ from the exported vectors */
+    int rows;          /* number of compared samples */
+    int wrong;         /* number of compared samples that differ */
     int first_row;     /* first wrong sample, ... */
     int first_column;  /* ... and the first wrong column of it; see vectors.h */
-    int between;       /* all these are right, but a sample between them is wrong */
+    int between;       /* all compared samples are right, but a sample between them is wrong */
     int valid;         /* rows with a valid position */
     double flux_error; /* largest, relative to the flux */
     double angle_error; /* largest [rad] */

@@ -1,12 +1,12 @@
 @every interrupt@
-/* How to call the observer: once per interrupt of the current control, every @sample_time@ s.
+/* Example: calls the observer once per interrupt of the current control, every @sample_time@ s.
 @every few@
-/* How to call the observer if it steps only every few interrupts: the current control interrupts
- * every @sample_time@ s, the observer takes a step every @step_time@ s, and volt-seconds are
- * summed in between.
+/* Example for an observer that steps only every few interrupts: the current control interrupts
+ * every @sample_time@ s, the observer takes a step every @step_time@ s, and volt-seconds are summed
+ * in between.
 @always@
  * Copy this file under another name before you change it, so that the folder can be exported again.
- * The functions declared here are yours to write.
+ * You must write the functions that are declared here.
  *
  *      t[k-1]               t[k]                 t[k+1]
  *        |  `acting` acts    |  `next` acts       |  the command of now acts
@@ -32,7 +32,7 @@ static fo_gathered gathered;
 static int since_step; /* interrupts since the observer's last step */
 @always@
 static float acting[2]; /* mean voltage, alpha and beta [V], over the interval that ends now */
-static float next[2];   /* over the interval that begins now: commanded an interrupt ago */
+static float next[2];   /* over the interval that begins now; commanded one interrupt ago */
 
 /* Call this each time before the gates are switched on: with the gates off the voltage is unknown. */
 void drive_start(void)
@@ -84,12 +84,12 @@ void current_control_interrupt(void)
 @every interrupt@
     /* The angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
 @every few@
-    /* Between steps the angle is extrapolated at the speed; wrap it if your control needs that.
-     * Angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
+    /* Between steps the angle is extrapolated at the speed; wrap the angle if your control needs
+     * this. Angle [rad] and speed [rad/s], electrical, are those of t[k]. `valid` says whether the
 @always@
-     * position is known. If it has been unknown for long, do not commutate by it (README, "When the
-     * position is valid", says how long and what to do). The command will act around t[k] + 1.5
-     * periods: turn it ahead by 1.5 * @sample_time@ * speed_e. */
+     * position is known. If the position has been unknown for long, do not use it for commutation
+     * (README, "When the position is valid", says how long and what to do). The command will act
+     * around t[k] + 1.5 periods: turn the command ahead by 1.5 * @sample_time@ * speed_e. */
 @every interrupt@
     drive_current_control(i, estimate@position@.theta_e_tracked, estimate@position@.speed_e, estimate@position@.valid, udc, command);
 @every few@
@@ -99,15 +99,16 @@ void current_control_interrupt(void)
 @always@
 
     /* If the modulator limits the voltage, `command` must hold the applied voltage, not the desired
-     * one: limit it to the hexagon of udc before it is written. */
+     * voltage: limit `command` to the hexagon of udc before you write it. */
     drive_write_voltage(command, udc);
     if (!drive_gates_are_on()) {
         command[0] = command[1] = NAN; /* unknown: the machine determines the voltage */
     }
 
-    /* The PWM takes the new duties at t[k+1], one interrupt from now (a log of such a drive has lag
-     * -1). If it takes them at once, `next` is not needed: acting = command (lag 0). If it takes
-     * them in between, weight the two by the time that each acts. */
+    /* The PWM applies the new duties at t[k+1], one interrupt from now (a log of such a drive has
+     * lag -1). If the PWM applies the duties at once, `next` is not needed: acting = command (lag
+     * 0). If the PWM applies the duties in between, weight both voltages by the time for which they
+     * act. */
     acting[0] = next[0];
     acting[1] = next[1];
     next[0] = command[0];

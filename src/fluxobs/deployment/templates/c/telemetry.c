@@ -16,7 +16,7 @@
 
 enum { MARK_0 = 0xF1, MARK_1 = 0x0B, AHEAD = 6, CHECKED_FROM = 2 };
 
-/* Lag 1: the voltage of a sample acted over the interval that ends there. */
+/* Lag 1: the voltage of a sample acted over the interval that ends at this sample. */
 static const char names[] = "@sample_time@,1,u_alpha,u_beta,i_alpha,i_beta";
 
 static unsigned crc(const unsigned char *bytes, unsigned count)

@@ -12,8 +12,8 @@ extern "C" {
 /* Largest length of a frame [bytes]. */
 #define TELEMETRY_MOST 64
 
-/* Both functions write a frame and return its length. `number` counts all samples from 0, also those
- * not sent: the reader sees from a jump how many are missing. */
+/* Both functions write a frame and return its length. `number` counts all samples from 0, also
+ * samples that are not sent: a jump tells the reader how many samples are missing. */
 
 /* Names of the columns: send this frame first, and again about every thousand samples. */
 unsigned telemetry_names(unsigned char out[TELEMETRY_MOST], uint32_t number);

@@ -2,7 +2,8 @@
 
     python test/check.py          # needs fmpy, from PyPI
 
-Exit code 0: all equal, also after saving, serialising and restoring a state half-way.
+The exit code is 0 if all outputs are equal, also after a state was saved, serialised and restored
+half-way.
 """
 
 import csv
@@ -43,7 +44,7 @@ def restore(unit, three, kept):
 
 
 def replay(path):
-    """Return the number of rows, and of those that differ."""
+    """Return the number of rows, and the number of rows that differ."""
     names, rows = read_record()
     description = fmpy.read_model_description(path, validate=True)
     step = float(description.defaultExperiment.stepSize)

@@ -1,4 +1,5 @@
-/* The functions of FMI 2.0, co-simulation (https://fmi-standard.org, version 2.0.4, section 2 and 4).
+/* The functions of FMI 2.0 for co-simulation (https://fmi-standard.org, version 2.0.4, section 2
+ * and 4).
  *
  * SPDX-License-Identifier: MIT
  */

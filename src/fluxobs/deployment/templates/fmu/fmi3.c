@@ -1,4 +1,5 @@
-/* The functions of FMI 3.0, co-simulation (https://fmi-standard.org, version 3.0, section 2 and 4).
+/* The functions of FMI 3.0 for co-simulation (https://fmi-standard.org, version 3.0, section 2 and
+ * 4).
  *
  * SPDX-License-Identifier: MIT
  */

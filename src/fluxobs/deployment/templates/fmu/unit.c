@@ -31,7 +31,7 @@ void unit_reset(unit *u)
     u->data.estimate@position@.theta_e_std = (fo_real)1.8137993642342178; /* angle unknown: pi / sqrt(3) */
 }
 
-/* Whether the instance is in a phase; logs a message for `call` if not. */
+/* Whether the instance is in a phase; if it is not, logs a message for `call`. */
 static bool is_in(unit *u, unit_phase phase, const char *call)
 {
     static const char *const NEEDS[] = {
@@ -64,8 +64,8 @@ bool unit_begin(unit *u, unit_phase to, double start, const char *call)
     return good;
 }
 
-/* Whether a step is as long as the observer's and begins where the last one ended. Times may be
- * multiples or sums of steps, hence the tolerance for rounding. */
+/* Whether a step is as long as the observer's step and begins where the last step ended. Times may
+ * be multiples or sums of steps, hence the tolerance for rounding. */
 static bool is_next(unit *u, double time, double step)
 {
     const double due = (double)@prefix@_observer@plain@.sample_time;
@@ -145,7 +145,7 @@ bool unit_set_all(unit *u, const uint32_t references[], size_t count, const doub
     return good;
 }
 
-/* FNV-1a, 64 bit, continued from a sum. */
+/* FNV-1a, 64 bit, continued from an earlier sum. */
 static uint64_t hashed(uint64_t sum, const void *of, size_t count)
 {
     const unsigned char *bytes = of;
@@ -155,7 +155,7 @@ static uint64_t hashed(uint64_t sum, const void *of, size_t count)
     return sum;
 }
 
-/* Includes the token: a state of another machine may have the same size. */
+/* The checksum includes the token, since a state of another machine may have the same size. */
 static uint64_t checksum(const void *data)
 {
     return hashed(hashed(0xCBF29CE484222325U, TOKEN, sizeof TOKEN), data, sizeof(unit_data));

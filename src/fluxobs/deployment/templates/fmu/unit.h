@@ -23,7 +23,7 @@ enum { UNIT_INPUTS = 4, UNIT_OUTPUTS = @outputs@, UNIT_FIRST = 1 + UNIT_INPUTS }
 /* Phase of an instance; a reset leads to UNIT_NEW. */
 typedef enum { UNIT_NEW = 0, UNIT_INITIALISING, UNIT_STEPPING, UNIT_ENDED } unit_phase;
 
-/* Everything that changes: it is copied to save, restore and serialise. */
+/* All data that change; they are copied to save, restore and serialise. */
 typedef struct {
     double time; /* of the next step */
     uint32_t phase; /* a unit_phase */
@@ -46,16 +46,17 @@ unit *unit_new(const char *name, const char *token, unit_log log, void *environm
 void unit_free(unit *u);
 void unit_reset(unit *u);
 
-/* Moves to the next phase, for `call`; returns false, with a message, in another phase than `from`. */
+/* Moves from the phase `from` to `to`; in any other phase, returns false and logs a message for
+ * `call`. */
 bool unit_move(unit *u, unit_phase from, unit_phase to, const char *call);
 
-/* The same for a new instance, whose first step begins at `start`. */
+/* Moves a new instance to the phase `to`; its first step begins at `start`. */
 bool unit_begin(unit *u, unit_phase to, double start, const char *call);
 
 /* Processes the inputs at `time`. The estimate belongs to that instant and is read a step later. */
 bool unit_step(unit *u, double time, double step);
 
-/* Get or set values by reference; return false, with a message, for an unknown reference. */
+/* Get or set values by reference; for an unknown reference, return false and log a message. */
 bool unit_get(unit *u, uint32_t reference, double *value);
 bool unit_get_all(unit *u, const uint32_t references[], size_t count, double values[]);
 bool unit_set_all(unit *u, const uint32_t references[], size_t count, const double values[]);

@@ -1,4 +1,5 @@
-/* Functions called from Rust: an estimate as numbers in the order of its fields, a state as bytes.
+/* Functions called from Rust. An estimate is passed as numbers in the order of its fields, a state
+ * as bytes.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -7,7 +8,7 @@
 
 enum { OUTPUTS = @outputs@, STATE_BYTES = @state_bytes@ };
 
-/* Does not compile if the state in lib.rs is too small. */
+/* This line does not compile if the state in lib.rs is too small. */
 typedef char state_fits[sizeof(@fo@_state) <= (size_t)STATE_BYTES ? 1 : -1];
 
 void fluxobs_@prefix@_reset(@fo@_state *state);

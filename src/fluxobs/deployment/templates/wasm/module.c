@@ -15,7 +15,7 @@ static @fo@_estimate estimate;
 
 EXPORT(inputs) double *inputs(void) { return input; }
 EXPORT(outputs) double *outputs(void) { return output; }
-/* Identifies the machine: a state of another machine may have the same size. */
+/* Identifies the machine, because a state of another machine may have the same size. */
 EXPORT(content) const char *content(void) { return "@content@"; }
 EXPORT(content_size) int content_size(void) { return (int)sizeof "@content@" - 1; }
 
