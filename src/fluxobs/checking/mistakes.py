@@ -122,7 +122,7 @@ def _rotation(degrees: float) -> complex:
 
 
 def _wrong_scale(words: str, voltage: float = 1.0, current: float = 1.0) -> Mistake:
-    """Return the mistake of voltages and currents that are too large by these factors."""
+    """Return the mistake of a wrong scale: voltages and currents too large by these factors."""
     ratio = voltage / current
     return Mistake("scale", words, resistance=ratio, inductance=ratio, flux=voltage)
 

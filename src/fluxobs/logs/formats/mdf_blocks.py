@@ -16,8 +16,8 @@ from typing import ClassVar
 
 from ...core.input_files import BLOCK, PACKED_BLOCK, PLENTY, check_deflated
 
-#: Bytes counted for a conversion in addition to its size. asammdf needs a second for 64 000
-#: conversions.
+#: Bytes that a conversion counts in addition to its size: they stand for its time. asammdf reads
+#: 64 000 conversions in a second.
 CONVERSION = 4000
 
 Content = mmap.mmap | bytes

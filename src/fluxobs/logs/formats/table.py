@@ -74,8 +74,9 @@ class Table(ABC):
         """
 
     def expect(self, names: Sequence[str]) -> None:  # noqa: B027  (most formats need not know)
-        """Announce columns that will all be read. A format that parses the whole file for each
-        column then reads them together.
+        """Announce columns that will all be read.
+
+        With this, a format that would parse the whole file for each column parses it once.
         """
 
     def place(self, row: int) -> str:
