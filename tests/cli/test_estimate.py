@@ -219,7 +219,7 @@ def test_exchanged_phases_are_suspected(folder):
         (["--scale", "i_alpha=big"], "'big' is not a number"),
         (["--sample-time", "1e-3"], "t advances by 0.0001 s"),
         (["--from", "9"], "the log runs from 0 s to 0.3999 s"),
-        (["--memory", "1e-4"], "too short: at least ten samples"),
+        (["--memory", "1e-4"], "too short: give at least ten samples"),
         (["--report", "report.gif"], "must end in .html, .png, .pdf, .svg"),
         (["--report", "nowhere/report.png"], "the folder nowhere does not exist"),
         (["--record", "none.toml"], "none.toml: cannot be read"),

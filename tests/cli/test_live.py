@@ -50,8 +50,8 @@ def test_ctrl_c_ends_the_demo(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "SOURCE or --demo"),
-        (["x.csv", "--demo"], "SOURCE or --demo"),
+        ([], "--demo or a SOURCE"),
+        (["x.csv", "--demo"], "--demo or a SOURCE"),
         (["x.csv"], "--machine is missing"),
         (["x.csv", "--machine", "servo-400w"], "no such file or port"),
         (["--demo", "--save", "log.txt"], ".csv"),

@@ -148,7 +148,7 @@ REFUSED = {
     "a memory of one sample": (
         lambda: fluxobs.estimate(COLUMNS, SERVO, memory=1e-4),
         ObserverError,
-        ["too short: at least ten samples, 0.001 s"],
+        ["too short: give at least ten samples, 0.001 s"],
     ),
     "a comparison without a truth": (
         lambda: fluxobs.compare(COLUMNS, SERVO),

@@ -350,7 +350,9 @@ def test_a_given_memory_must_have_ten_samples(log, rows, fits):
     if fits:
         assert prepare._check_memory(log, SERVO, rows * H) == rows * H
     else:
-        with pytest.raises(fluxobs.FluxobsError, match=r"too short: at least ten samples, 0.001 s"):
+        with pytest.raises(
+            fluxobs.FluxobsError, match=r"too short: give at least ten samples, 0.001 s"
+        ):
             prepare._check_memory(log, SERVO, rows * H)
 
 
@@ -387,7 +389,7 @@ def test_a_magnet_is_guessed_from_the_log(psi_f):
 def test_priors_too_large_for_standard_deviations(log, name, largest):
     unknowns = ("drift", "resistance", "inverter")
     prepare.prepare(log, SERVO, unknowns, None, {name: 0.99 * largest}, SCALES)
-    with pytest.raises(fluxobs.FluxobsError, match=f"prior {name}=.*, {largest:.3g}$"):
+    with pytest.raises(fluxobs.FluxobsError, match=f"prior {name}=.*, {largest:.3g}: give"):
         prepare.prepare(log, SERVO, unknowns, None, {name: 1.01 * largest}, SCALES)
 
 
