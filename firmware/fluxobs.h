@@ -260,9 +260,4 @@ void fo_step_for(const fo_observer *observer, fo_state *state, fo_real duration,
 }
 #endif
 
-/* An export of the plain observer alone has no adaptive one. */
-#if FO_ADAPTIVE
-#include "fluxobs_adaptive.h"
-#endif
-
 #endif

@@ -246,9 +246,8 @@ static void correct_asymmetry(const fo_adaptive *a, const fo_adaptive_state *s,
 }
 
 /* Volt-seconds of the last interval, and their change with one prior std of each parameter. */
-static void integrate_interval(const fo_adaptive *a, const fo_adaptive_state *s, bool complete,
-                      fo_interval *t)
-{
+static void integrate_with_sensitivities(const fo_adaptive *a, const fo_adaptive_state *s,
+                                         bool complete, fo_interval *t) {
     const fo_real volts = inverter_loss_part(a, s, 0) + inverter_loss_part(a, s, 1);
     fo_real mean[FO_N], mean_24[FO_N], u[FO_N];
     for (int i = 0; i < FO_N; i++) {
@@ -554,7 +553,7 @@ static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool compl
     e->drift_std = a->plain.drift_prior_std * a->plain.drift_base;
     if (s->plain.have_current && s->plain.have_voltage) {
         fo_interval t;
-        integrate_interval(a, s, complete, &t);
+        integrate_with_sensitivities(a, s, complete, &t);
         e->adapting = s->running;
         if (s->running) {
             run_filter(a, s, &t, measured, e);

@@ -121,7 +121,11 @@ static inline variances flux_variances(const FO_FACTOR *info, const FO_VALUE p[F
 {
     const FO_VALUE *u = &info->U[AT(FLUX, FLUX + 1)];
     variances sum = {FO_ZERO, FO_ZERO};
-    FO_VALUE along[FO_NX] = {FO_ZERO}, across[FO_NX] = {FO_ZERO};
+    FO_VALUE along[FO_NX], across[FO_NX];
+    for (int i = 0; i < FO_NX; i++) {
+        along[i] = FO_ZERO;
+        across[i] = FO_ZERO;
+    }
     along[FLUX] = p[0];
     along[FLUX + 1] = p[1];
     across[FLUX] = -p[1];

@@ -48,9 +48,8 @@ static const fo_real SQUARE_MIN = (fo_real)0.04;
 static const fo_real LENGTH_SQUARE_MIN = (fo_real)1e-4;
 
 /* Position vector of a candidate. */
-static void position_vector(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *c,
-                     fo_real x[FO_N])
-{
+static void candidate_position(const fo_adaptive *a, const fo_adaptive_state *s,
+                               const fo_candidate *c, fo_real x[FO_N]) {
     for (int i = 0; i < FO_N; i++) {
         x[i] = c->p[M_FLUX + i] - armature_flux(&a->plain, &s->plain, i);
     }
@@ -130,7 +129,7 @@ void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_c
                           fo_manifold *m) {
     const fo_information *info = &s->plain.info;
     fo_real x_before[FO_N];
-    position_vector(a, s, c, x_before);
+    candidate_position(a, s, c, x_before);
     const fo_real *flux = &c->p[M_FLUX], *drift = &c->p[M_DRIFT], *u = info->U;
     fo_real row_x[FO_NX], immersed[FO_NX], x[FO_N], row[FO_NM], predicted = ZERO;
 
@@ -185,7 +184,7 @@ void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_c
     const fo_real lowest = a->psi > ZERO ? SQUARE_MIN : ZERO;
     c->p[M_SQUARE] = c->p[M_SQUARE] > lowest ? c->p[M_SQUARE] : lowest;
     c->predicted_cost = predicted - noise * c->p[M_SQUARE];
-    position_vector(a, s, c, x);
+    candidate_position(a, s, c, x);
     /* after a jump the candidate must converge again */
     c->age = same_direction(x, x_before) ? c->age + 1U : 0U;
     const fo_real square = dot(x, x),
@@ -225,8 +224,8 @@ static int second_candidate(const fo_adaptive *a, fo_adaptive_state *s, int best
         const fo_candidate *c = &s->now.start.candidates[k];
         if (k != best && c->age >= CONVERGED_AFTER) {
             fo_real x[FO_N], y[FO_N];
-            position_vector(a, s, &s->now.start.candidates[best], x);
-            position_vector(a, s, c, y);
+            candidate_position(a, s, &s->now.start.candidates[best], x);
+            candidate_position(a, s, c, y);
             if (same_direction(x, y)) {
                 for (uint32_t quarters = 1U + s->now.start.confirmations % 3U; quarters > 0U;
                      quarters--) {
@@ -269,14 +268,14 @@ void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
                         fo_choice *choice)
 {
     const uint32_t round = s->sample_index % (uint32_t)FO_CANDIDATES;
-    const int turn = (int)round;
+    const int stepped = (int)round;
     for (int k = 0; k < FO_CANDIDATES; k++) {
         fo_real *p = s->now.start.candidates[k].p;
         for (int i = 0; i < FO_N; i++) {
             p[M_FLUX + i] += v[i] + a->plain.h * p[M_DRIFT + i];
         }
     }
-    fo_gauss_newton_step(a, s, &s->now.start.candidates[turn], &choice->information);
+    fo_gauss_newton_step(a, s, &s->now.start.candidates[stepped], &choice->information);
 
     const int best = best_candidate(s);
     choice->has_best = best >= 0;
@@ -287,10 +286,10 @@ void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
         const fo_real power = s->plain.power;
         const fo_real inflation = power > ONE ? power : ONE;
         fo_real x[FO_N], other = ZERO;
-        position_vector(a, s, c, x);
+        candidate_position(a, s, c, x);
         if (s->now.start.best != best) {
             fo_real before[FO_N];
-            position_vector(a, s, &s->now.start.candidates[s->now.start.best], before);
+            candidate_position(a, s, &s->now.start.candidates[s->now.start.best], before);
             if (!same_direction(x, before) ||
                 s->now.start.candidates[s->now.start.best].age < CONVERGED_AFTER) {
                 s->now.start.confirmations = 0U;
@@ -319,7 +318,7 @@ void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
         choice->best.variance *= choice->inflation;
         choice->second_weight =
             s->now.start.confirmations >= CONFIRMATIONS ? other / (ONE + other) : ONE / TWO;
-        choice->decided = turn == best && (quick || s->plain.trusted) &&
+        choice->decided = stepped == best && (quick || s->plain.trusted) &&
                           s->now.start.confirmations >= CONFIRMATIONS &&
                           other < SECOND_WEIGHT_MAX && share < START_SHARE &&
                           choice->best.variance < START_STD * START_STD;

@@ -7,7 +7,7 @@
 #ifndef FLUXOBS_CONFIG_H
 #define FLUXOBS_CONFIG_H
 
-#include "fluxobs.h"
+#include "fluxobs_observers.h"
 
 #ifdef __cplusplus
 extern "C" {

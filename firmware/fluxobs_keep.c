@@ -274,7 +274,7 @@ static void transfer_learnt(cursor *c, learnt_numbers *of)
 }
 
 /* Are all numbers finite, and the weights positive? */
-static bool is_plausible(const learnt_numbers *of)
+static bool are_plausible(const learnt_numbers *of)
 {
     fo_real sum = ZERO;
     bool positive = true;
@@ -325,7 +325,7 @@ fo_error fo_adaptive_restore(const fo_adaptive *a, fo_adaptive_state *s, const u
         learnt_numbers learnt;
         transfer(&c, &units_checksum);
         transfer_learnt(&c, &learnt);
-        if (!is_plausible(&learnt)) {
+        if (!are_plausible(&learnt)) {
             result = FO_ERROR_DAMAGED;
         } else if (units_checksum < expected || units_checksum > expected) {
             result = FO_ERROR_OTHER;

@@ -7,7 +7,7 @@
 #ifndef FLUXOBS_KEEP_H
 #define FLUXOBS_KEEP_H
 
-#include "fluxobs.h"
+#include "fluxobs_observers.h"
 
 #ifdef __cplusplus
 extern "C" {

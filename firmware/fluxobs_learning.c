@@ -91,7 +91,7 @@ fo_real fo_learning_unmodelled_voltage(const fo_adaptive *a, const fo_adaptive_s
 
 /* Linearises the map at the filter's own angle, because the guard's angle may differ. A cage's map
  * does not depend on the angle. */
-static void linearise_map(const fo_adaptive *a, fo_adaptive_state *s)
+static void linearise_map_at_filter(const fo_adaptive *a, fo_adaptive_state *s)
 {
 #if FO_MAPPED
     const fo_observer *o = &a->plain;
@@ -327,7 +327,7 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
     const fo_real turned = fo_abs(speed) > h ? speed : speed < ZERO ? -h : h;
     linearisation_point point;
     fo_real by_flux[FO_N], by_current[FO_N];
-    linearise_map(a, s);
+    linearise_map_at_filter(a, s);
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] = c->p[i];
         s->drift[i] = c->p[FO_N + i];
@@ -693,7 +693,7 @@ static fo_real block_row(const fo_block *b, fo_real row[FO_NA])
 
 /* Measurement update by the block's row: first of flux and drift, then of the parameters. The
  * weight is the row's `share` of a full block. */
-static void update_measurement(const fo_adaptive *a, fo_adaptive_state *s, fo_real turned,
+static void update_by_block(const fo_adaptive *a, fo_adaptive_state *s, fo_real turned,
                                fo_real share)
 {
     const fo_block *b = &s->now.block;
@@ -736,7 +736,7 @@ static void finish_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_in
     linearisation_point point;
     predict_block(a, s, b);
     if (b->samples > 0U && share > (fo_real)1e-6) {
-        update_measurement(a, s, turned, share);
+        update_by_block(a, s, turned, share);
     }
     linearise(a, s, &point);
     s->theta = fo_atan2(point.x[1], point.x[0]);
@@ -766,7 +766,7 @@ fo_real fo_learning_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_in
     const fo_observer *o = &a->plain;
     fo_block *b = &s->now.block;
     linearisation_point point;
-    linearise_map(a, s);
+    linearise_map_at_filter(a, s);
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] += t->v[i] + o->h * s->drift[i];
         for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {

@@ -6,7 +6,7 @@
 enum { D = 0, Q = 1, ORDER = 3 };
 
 /* sin(x), |x| <= pi/2: Abramowitz and Stegun, 4.3.97. */
-static fo_real sine(fo_real x)
+static fo_real sine_of(fo_real x)
 {
     const fo_real s = x * x;
     return x * (ONE + s * ((fo_real)-.1666666664 +
@@ -19,8 +19,8 @@ void fo_direction(fo_real angle, fo_real direction[2])
 {
     const fo_real size = fo_abs(angle);
     const fo_real folded = size > PI / TWO ? PI - size : size;
-    const fo_real up = sine(folded);
-    direction[0] = sine(PI / TWO - size);
+    const fo_real up = sine_of(folded);
+    direction[0] = sine_of(PI / TWO - size);
     direction[1] = angle < ZERO ? -up : up;
 }
 

@@ -9,7 +9,7 @@
 #ifndef FLUXOBS_RETUNE_H
 #define FLUXOBS_RETUNE_H
 
-#include "fluxobs.h"
+#include "fluxobs_observers.h"
 
 #ifdef __cplusplus
 extern "C" {

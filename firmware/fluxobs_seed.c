@@ -22,7 +22,7 @@ static const fo_real ROUGH_STD = (fo_real)0.35;
 
 #if FO_ADAPTIVE
 /* Negligible information that keeps the factor regular [1 / flux bases^2]. */
-static const fo_real INFORMATION_MIN = (fo_real)1e-6;
+static const fo_real SEED_INFORMATION_MIN = (fo_real)1e-6;
 #endif
 
 /* The seed, per-unit. */
@@ -168,7 +168,7 @@ static void start_filter(const fo_adaptive *a, fo_adaptive_state *s, const seed_
     const fo_real known = o->drift_prior_std, twice = TWO * point.length * point.length_std;
     for (int i = 0; i < FO_N; i++) {
         c.p[i] = point.flux[i];
-        m.d[i] = INFORMATION_MIN;
+        m.d[i] = SEED_INFORMATION_MIN;
         m.d[FO_N + i] = ONE / (known * known);
     }
     c.p[FO_NM - 1] = point.length * point.length;

@@ -6,7 +6,7 @@
 #ifndef FLUXOBS_SEED_H
 #define FLUXOBS_SEED_H
 
-#include "fluxobs.h"
+#include "fluxobs_observers.h"
 
 #ifdef __cplusplus
 extern "C" {

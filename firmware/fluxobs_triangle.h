@@ -6,7 +6,7 @@
 #ifndef FLUXOBS_TRIANGLE_H
 #define FLUXOBS_TRIANGLE_H
 
-#include "fluxobs_real.h"
+#include "fluxobs.h"
 
 /* Elements of the strict upper triangle of order n, and elements before row i. */
 #define FO_PACKED(n) ((n) * ((n) - 1) / 2)

@@ -186,7 +186,10 @@ def test_a_damaged_file_is_named_with_the_remedy(copy, tmp_path):
         assert run.returncode == 2
         assert f"delete it; `fluxobs campaign {copy}`" in run.stderr
     pl.DataFrame({"x": [1]}).write_parquet(rows)
-    assert "its columns are not those of rows" in fluxobs("campaign", copy, folder=tmp_path).stderr
+    assert (
+        "its columns differ from the campaign's"
+        in fluxobs("campaign", copy, folder=tmp_path).stderr
+    )
     for damaged in ("{", "[]", "{}", '{"fluxobs": "1", "chunk": 0}'):
         (copy / "campaign.json").write_text(damaged)
         run = fluxobs("campaign", copy, folder=tmp_path)

@@ -296,7 +296,7 @@ static void check_sensitivities(void)
             }
             t.plain.source[0] = a.volt * u[0]; /* computed with the measured voltage */
             t.plain.source[1] = a.volt * u[1];
-            integrate_interval(&a, &t, false, &e);
+            integrate_with_sensitivities(&a, &t, false, &e);
             effect[0] += 0.5 * (double)e.sensitivity[j][0];
             effect[1] += 0.5 * (double)e.sensitivity[j][1];
         }

@@ -30,6 +30,7 @@ ADAPTIVE_SOURCES = (
 #: Sources for use at run time: configuration, seeds, changed parameters, snapshots over a power
 #: cycle.
 RUNTIME_SOURCES = (
+    "fluxobs_observers.h",
     *(
         f"fluxobs_{name}.{kind}"
         for name in ("config", "seed", "retune", "keep")

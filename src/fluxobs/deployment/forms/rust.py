@@ -12,7 +12,7 @@ from ..templating import fill
 from ..variables import Variable, c_values, check_every_step, output_variables, record_csv
 
 #: Sources that door.c needs to start from a known angle.
-SEED = ("fluxobs_seed.h", "fluxobs_seed.c")
+SEED = ("fluxobs_observers.h", "fluxobs_seed.h", "fluxobs_seed.c")
 TEMPLATES = {
     "Cargo.toml": "Cargo.toml",
     "build.rs": "build.rs",
@@ -51,7 +51,8 @@ def files(core: Core) -> dict[str, str | bytes]:
 def _placeholders(core: Core) -> dict[str, str]:
     variables = output_variables(core)
     crate = _snake_case(f"fluxobs_{core.prefix}")
-    compiled = [name for name in core.code if name.endswith(".c")] + [SEED[1], "door.c"]
+    sources = [*core.code, *SEED, "door.c"]
+    compiled = [name for name in sources if name.endswith(".c")]
     bytes_of = _core_single.adaptive_state_bytes if core.adaptive else _core_single.state_bytes
     values = (
         f"{output.name}: x[{n}] > 0.5," if output.boolean else f"{output.name}: x[{n}],"
