@@ -71,6 +71,8 @@ PARTS = {
             "reset_information",
             "restart",
             "fo_reset_single",
+            "fo_damaged_single",
+            "zero_if_finite",
         ),
         "missing, absurd and contradicting samples; restarts",
     ),
