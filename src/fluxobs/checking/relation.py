@@ -23,6 +23,7 @@ from ..core.robust import HUBER, huber_weight
 from ..machines import RotatingMachine
 from ..machines.model.held import mean_current
 from ..machines.model.inverter import inverter_direction
+from ..machines.model.relation import linearise
 from .segments import Complex, Segments
 
 #: Order of the parameters.
@@ -182,8 +183,7 @@ class RelationResidual:
         self.data = data
         self.noise = noise
         self.R = machine.R_s
-        L_d, self.L_q = machine.L_dq
-        self.saliency = L_d - self.L_q
+        self.L_d, self.L_q = machine.L_dq
         self.psi = machine.magnet_flux
         self.magnets = machine.magnets
         self.flux_moves = machine.flux_moves
@@ -205,15 +205,12 @@ class RelationResidual:
     def _position(self, flux: Complex, values: Array, psi: float | Array) -> _Position:
         """Return the position vector for a flux, with the derivatives of the vector's length."""
         current, scale = self.data.current, np.exp(values[L])
-        x = flux - self.L_q * scale * current
+        L_d, L_q = self.L_d * scale, self.L_q * scale
+        linear = linearise(flux, current, L_d, L_q)
         if self.table is None:
-            length = np.abs(x) + 1e-300
-            direction = x / length
-            i_d = (direction.conj() * current).real
-            saliency = self.saliency * scale
-            to_flux = direction - saliency * (current - i_d * direction) / length
-            by_scale = -self.L_q * scale * (to_flux.conj() * current).real - saliency * i_d
-            return _Position(x, saliency * i_d, to_flux, by_scale)
+            by_scale = L_d * linear.by_L_d + L_q * linear.by_L_q
+            return _Position(linear.x, linear.from_current, linear.by_flux, by_scale)
+        x = linear.x
         for _ in range(ROUNDS):  # refine the angle at which the map is evaluated
             direction = x / (np.abs(x) + 1e-300)
             i = current * direction.conj()

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..machines import AlgebraicSaturation
 from ..machines.model.flux_map import FluxMap
+from ..machines.model.relation import linearise
 
 Complex = NDArray[np.complex128]
 
@@ -64,22 +65,15 @@ class ResidualFunction(Protocol):
 
 def linear(flux: Complex, current: Complex, values: Mapping[str, float]) -> Linearisation:
     """Constant inductances: ``|x| - ψ - (L_d - L_q) i_d``, x = λ - L_q i."""
-    x = flux - values["L_q"] * current
-    length = np.abs(x)
-    direction = x / length
-    i_d = (direction.conj() * current).real
-    saliency = values["L_d"] - values["L_q"]
-    to_flux = direction - saliency * (current - i_d * direction) / length
-    by_current = (to_flux.conj() * current).real
+    point = linearise(flux, current, values["L_d"], values["L_q"])
     by_name = {
         "psi_f": -np.ones(len(current)),
-        "L_s": -(direction.conj() * current).real,
-        "L_d": -i_d,
-        "L_q": i_d - by_current,
+        "L_s": -point.i_d,
+        "L_d": point.by_L_d,
+        "L_q": point.by_L_q,
     }
-    return Linearisation(
-        length - values["psi_f"] - saliency * i_d, to_flux, by_name, current * direction.conj()
-    )
+    residual = point.length - values["psi_f"] - point.from_current
+    return Linearisation(residual, point.by_flux, by_name, current * point.direction.conj())
 
 
 @dataclass(frozen=True, eq=False)
