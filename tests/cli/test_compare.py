@@ -53,7 +53,7 @@ def test_a_log_and_a_scenario(folder):
     )
     assert done.returncode == 0, done.stderr
     assert "The least squares has" in done.stdout
-    assert "With its default memory" in done.stdout
+    assert "of the scored rows are valid" in done.stdout
     for entry in CATALOGUE:
         assert entry.name in done.stdout
     scores = pl.read_csv(folder / "out" / "scores.csv")

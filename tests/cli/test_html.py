@@ -25,7 +25,7 @@ def test_estimate_writes_a_report(tmp_path):
     assert "Written: r.html" in done.stdout
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
     check_self_contained(text)
-    assert "0.07° rms" in text
+    assert "Position error against the true angle on 9902 valid rows: 0.07° rms" in text
     again = fluxobs(*run, folder=tmp_path)
     assert again.returncode == 2
     assert "r.html" in again.stderr

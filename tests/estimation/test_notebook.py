@@ -61,7 +61,7 @@ def test_an_identification(log):
         f"{identification.parameters[0].value:.4g} ± {identification.parameters[0].std:.2g}"
         in shown.words
     )
-    assert any("Residual" in text for text in shown.words)
+    assert any("Residual: " in text for text in shown.words)
 
 
 def test_an_examination(log):
