@@ -143,7 +143,7 @@ class Frames:
 
     @property
     def waiting(self) -> str:
-        """What the stream must send before rows are returned."""
+        """Input that the stream still lacks before the first row, in words."""
         if not self.names:
             return "a frame that names the columns"
         received = f", {self._count} received" if self._count else ""

@@ -58,7 +58,7 @@ class Lines:
 
     @property
     def waiting(self) -> str:
-        """What the stream must send before rows are returned."""
+        """Input that the stream still lacks before the first row, in words."""
         if self._unnamed:
             return (
                 f"a line that names the columns, not found in {self._unnamed} lines; "
