@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..core.arrays import Array
-from ..errors import ObserverError
 from ..machines import MagLev2DOF
+from .requirements import require_positive
 
 
 class TrackerState(NamedTuple):
@@ -43,9 +43,7 @@ class LevitationTracker:
 
     def __post_init__(self) -> None:
         for name in ("sample_time", "bandwidth"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ObserverError(f"{name} must be positive and finite, got {value}")
+            require_positive(name, getattr(self, name))
 
     def run(self, flux: ArrayLike, current: ArrayLike) -> tuple[Array, Array]:
         """Return (position [m], velocity [m/s]), each of shape (rows,).
