@@ -145,6 +145,11 @@ class LeastSquaresObserver(CompiledObserver[Estimate]):
         for name in POSITIVE:
             require_positive(name, number(name, getattr(self, name), "SI"))
         require_memory(self.memory, self.sample_time)
+        if not self.memory <= 1e6 * self.sample_time:
+            raise ObserverError(
+                f"memory must be at most a million samples, {1e6 * self.sample_time:g} s here, "
+                f"got {self.memory:g} s"
+            )
         object.__setattr__(self, "_core", self._make_core())
 
     def configuration(self) -> dict[str, Any]:
