@@ -206,11 +206,11 @@ class RelationResidual:
         """Return the position vector for a flux, with the derivatives of the vector's length."""
         current, scale = self.data.current, np.exp(values[L])
         L_d, L_q = self.L_d * scale, self.L_q * scale
-        linear = linearise(flux, current, L_d, L_q)
         if self.table is None:
+            linear = linearise(flux, current, L_d, L_q)
             by_scale = L_d * linear.by_L_d + L_q * linear.by_L_q
             return _Position(linear.x, linear.from_current, linear.by_flux, by_scale)
-        x = linear.x
+        x = flux - L_q * current
         for _ in range(ROUNDS):  # refine the angle at which the map is evaluated
             direction = x / (np.abs(x) + 1e-300)
             i = current * direction.conj()
