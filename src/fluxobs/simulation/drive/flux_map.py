@@ -1,4 +1,4 @@
-"""Flux maps in JAX, equivalent to firmware/fluxobs_map.c, for observers and plants."""
+"""Flux maps in JAX, equivalent to firmware/fluxobs_map.c, for simulated motors."""
 
 from __future__ import annotations
 
@@ -24,9 +24,6 @@ class Map(eqx.Module):
     psi: Array
     L_d: Array
     L_q: Array
-    decay: Array
-    still: Array
-    ripple: Array
     least: Array  # Smallest i_d and i_q (2,) [A].
     most: Array  # Largest i_d and i_q (2,) [A].
     over: Array  # Intervals per ampere (2,).
@@ -41,8 +38,7 @@ class Map(eqx.Module):
             for name in ("least", "most", "over")
         }
         numbers = {
-            name: jnp.asarray(fields[name], float)
-            for name in ("psi", "L_d", "L_q", "decay", "still", "ripple", "coefficients")
+            name: jnp.asarray(fields[name], float) for name in ("psi", "L_d", "L_q", "coefficients")
         }
         table = isinstance(flux_map, TableMap)
         return cls(
@@ -78,13 +74,6 @@ class Map(eqx.Module):
         beyond = i - inside
         return flux + beyond[0] * by_d + beyond[1] * by_q, by_d, by_q
 
-    def outside(self, current: Array) -> Array:
-        """Return whether a current is outside the table."""
-        if not self.is_table:
-            return jnp.zeros((), bool)
-        i = jnp.stack([current.real, current.imag])
-        return ((i < self.least) | (i > self.most)).any()
-
     def current(self, flux: Array, L_d: Array, L_q: Array) -> Array:
         """Return the current at a flux, in rotor coordinates.
 
@@ -105,24 +94,6 @@ class Map(eqx.Module):
         for k in range(NEWTON):
             current = step(k, current)
         return current
-
-
-#: sin(x)/x - 1 in powers of x², |x| <= π/2. Error 2e-9, as in C (Abramowitz, Stegun, 4.3.97).
-SINE = (-0.1666666664, 0.0083333315, -0.0001984090, 0.0000027526, -0.0000000239)
-
-
-def direction(angle: Array) -> Array:
-    """Return exp(j angle) of an angle in (-π, π], computed with the firmware's polynomial."""
-
-    def sine(x: Array) -> Array:
-        square, total = x * x, jnp.zeros_like(x)
-        for coefficient in reversed(SINE):
-            total = square * (coefficient + total)
-        return x * (1 + total)
-
-    size = jnp.abs(angle)
-    imaginary = sine(jnp.where(size > jnp.pi / 2, jnp.pi - size, size))
-    return jax.lax.complex(sine(jnp.pi / 2 - size), jnp.where(angle < 0, -imaginary, imaginary))
 
 
 def _weights(t: Array) -> tuple[Array, Array]:

@@ -64,7 +64,6 @@ class LoopObserver(eqx.Module):
     parameters: Array  # (bytes,) uint8
     initial_state: Array  # (bytes,) uint8
     sample_time: Array
-    memory: Array
     adaptive: bool = eqx.field(static=True)
     precision: str = eqx.field(static=True)
 
@@ -76,7 +75,6 @@ class LoopObserver(eqx.Module):
             parameters=jnp.asarray(observer._core.image()),
             initial_state=jnp.asarray(observer._core.reset(1)[0]),
             sample_time=real("sample_time", plain.sample_time),
-            memory=real("memory", plain.memory),
             adaptive=isinstance(observer, AdaptiveObserver),
             precision=plain.precision,
         )
