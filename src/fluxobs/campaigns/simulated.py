@@ -20,8 +20,8 @@ from .drives import drive_of
 from .specification import Specification
 
 #: Number of drives simulated at once in open and in closed loop. 64 drives fill the vector units
-#: without remainder. In closed loop, a call to the observers costs as much as 80 drives, so more
-#: drives share a call.
+#: without remainder. 256 in closed loop dates from observers that were called outside the compiled
+#: loop, at the cost of 80 drives a call; it has not been measured again since.
 LANES, IN_LOOP = 64, 256
 #: Largest product of samples and lanes of a batch. 14 doubles for each sample and lane need half a
 #: gigabyte.
