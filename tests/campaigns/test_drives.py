@@ -42,6 +42,10 @@ VALUES = {
     "range": 3.0,
     "jitter": 0.07,
     "lag": -0.2,
+    "heat": 0.1,
+    "fifth": 0.02,
+    "seventh": -0.01,
+    "iron_loss": 0.03,
     "dc_link": 0.9,
     "dc_link_gain": 1.02,
     "speed": 0.8,
@@ -91,6 +95,12 @@ def test_shares_are_of_the_rated_values():
     assert np.asarray(course.load.values) == pytest.approx([0.5 * 0.4 * rated.torque])
     assert np.asarray(course.dc_link.values) == pytest.approx([0.9 * rated.dc_link])
     assert float(course.theta_e) == 1.5
+    motor = drive.plant.motor
+    assert (float(motor.fifth), float(motor.seventh)) == (0.02, -0.01)
+    # At the rated EMF, the current of the iron loss is the given share of the rated current.
+    assert float(motor.iron_loss) * cell.voltage == pytest.approx(0.03 * current)
+    assert np.asarray(course.heat.times) == pytest.approx([0, 2])
+    assert np.asarray(course.heat.values) == pytest.approx([1.0, 1.1])
 
 
 def test_an_offset_changes_over_the_record():

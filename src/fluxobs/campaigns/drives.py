@@ -161,9 +161,15 @@ def drive_of(specification: Specification, scenario: Scenario) -> tuple[Drive, C
         coulomb=max(value["coulomb"], 0.0) * rated.torque,
         smoothing=1e-3 * rated_speed,
     )
+    iron_current = max(value["iron_loss"], 0.0) * current
+    motor = eqx.tree_at(
+        lambda m: [m.fifth, m.seventh, m.iron_loss],
+        motor_of(cell.machine, scenario.values),
+        [jnp.asarray(x) for x in (value["fifth"], value["seventh"], iron_current / cell.voltage)],
+    )
     drive = replace(
         cell.nominal,
-        plant=Plant(motor_of(cell.machine, scenario.values), mechanics),
+        plant=Plant(motor, mechanics),
         inverter=Inverter(
             dead_time=max(value["dead_time"], 0.0) * h,
             drop=max(value["drop"], 0.0) * rated.dc_link,
@@ -187,5 +193,6 @@ def drive_of(specification: Specification, scenario: Scenario) -> tuple[Drive, C
         Profile([t for t, _ in load], [value["load"] * x * rated.torque for _, x in load]),
         vector("voltage_offset", cell.voltage),
         value["theta_e"],
+        heat=Profile([0.0, table.duration], [1.0, 1.0 + value["heat"]]),
     )
     return drive, course

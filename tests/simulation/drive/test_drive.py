@@ -479,6 +479,20 @@ def test_a_record_satisfies_the_voltage_equation():
     assert np.abs(np.diff(trace.flux)).max() > 1e-2 * float(motor.psi_f)
 
 
+def test_the_winding_warms_within_a_record():
+    motor = MACHINES["pmsm-2kw2"]
+    heat = Profile([0.0, 0.3], [1.0, 1.5])
+    course = Course(Profile([0.0, 0.2], [0.0, 50.0]), 540.0, Profile([0.1], [10.0]), heat=heat)
+    run = simulate(drive(), course, 0.3)
+    u, trace = run.record().interval_voltage()[1:], run.trace
+    i = (trace.current[1:] + trace.current[:-1]) / 2
+    resistance = float(motor.R_s) * (1 + 0.5 * run.t[:-1] / 0.3)
+    residual = np.diff(trace.flux) - H * (u[:, 0] + 1j * u[:, 1] - resistance * i)
+    assert np.abs(residual).max() < 2e-4 * float(motor.psi_f)
+    cold = residual - H * (resistance - float(motor.R_s)) * i
+    assert np.abs(cold).max() > 1e-3 * float(motor.psi_f)
+
+
 @pytest.mark.slow
 def test_a_batch_agrees_with_single_runs():
     d = drive(sensors=Sensors(noise=0.05))

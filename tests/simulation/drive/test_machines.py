@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -113,6 +114,38 @@ def test_the_current_inverts_the_flux_of_a_map(name):
     flux = jax.vmap(motor.flux)(jnp.asarray(i * rotor), jnp.asarray(rotor))
     current = jax.vmap(motor.current)(flux, jnp.asarray(rotor))
     np.testing.assert_allclose(np.asarray(current), i * rotor, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["ipm-2kw2", "ipm-5kw6"])
+def test_harmonics_of_the_magnet_flux(name):
+    motor = Motor.of(example(name))
+    psi = float(motor.psi_f)
+    with_harmonics = eqx.tree_at(
+        lambda m: [m.fifth, m.seventh], motor, [jnp.asarray(0.03), jnp.asarray(-0.02)]
+    )
+    current = jnp.asarray(2.0 - 3.0j)
+    for theta in np.linspace(-3, 3, 7):
+        rotor = jnp.exp(1j * theta)
+        flux = with_harmonics.flux(current, rotor)
+        # In stator coordinates the 5th harmonic turns backwards, five times as fast as the rotor.
+        harmonics = psi * (0.03 * np.exp(-5j * theta) - 0.02 * np.exp(7j * theta))
+        assert complex(flux - motor.flux(current, rotor)) == pytest.approx(harmonics, abs=1e-9)
+        assert complex(with_harmonics.current(flux, rotor)) == pytest.approx(
+            complex(current), abs=1e-6
+        )
+
+
+def test_the_iron_loss_takes_its_power_from_the_terminals():
+    motor = Motor(0.3, 2e-3, 2e-3, 0.1, 3, iron_loss=0.02)
+    plant = Plant(motor, Mechanics(0.01))
+    speed = 200.0
+    state = plant.standstill(0.4, speed)
+    iron = complex(plant.terminal_current(state) - plant.current(state))
+    emf = 1j * 3 * speed * complex(state.flux)
+    assert iron == pytest.approx(0.02 * emf)  # in phase with the EMF: only active power
+    # The winding resistance carries this current too.
+    rate = plant.rate(state, jnp.asarray(0j), jnp.asarray(0.0))
+    assert complex(rate.flux) == pytest.approx(-0.3 * iron)
 
 
 def test_a_cage_in_steady_state():

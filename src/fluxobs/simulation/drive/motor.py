@@ -35,7 +35,17 @@ ENERGY_NODES = 16
 class Motor(eqx.Module):
     """A motor with constant inductances and the parameters R_s [Ω], L_d, L_q [H], psi_f [Wb], n_p.
 
-    ``i = e(θ)((λ_d - ψ)/L_d + j λ_q/L_q)``; the rotor's vector is its direction exp(jθ_e).
+    ``i = e(θ)((λ_d - ψ)/L_d + j λ_q/L_q)``; the rotor's vector is its direction exp(jθ_e). In rotor
+    coordinates the magnet flux is ``ψ (1 + k_5 exp(-6jθ_e) + k_7 exp(6jθ_e))``.
+
+    Parameters
+    ----------
+    fifth, seventh : float
+        Harmonics k_5 and k_7 of the magnet flux, as shares of psi_f. The torque neglects their
+        change with the angle.
+    iron_loss : float
+        Conductance of the iron loss [S]: the terminals carry the current jωλ times this value
+        besides the current of the windings.
     """
 
     R_s: Array
@@ -43,13 +53,28 @@ class Motor(eqx.Module):
     L_q: Array
     psi_f: Array
     n_p: Array
+    fifth: Array
+    seventh: Array
+    iron_loss: Array
 
-    def __init__(self, R_s: Any, L_d: Any, L_q: Any, psi_f: Any, n_p: Any) -> None:
+    def __init__(
+        self,
+        R_s: Any,
+        L_d: Any,
+        L_q: Any,
+        psi_f: Any,
+        n_p: Any,
+        fifth: Any = 0.0,
+        seventh: Any = 0.0,
+        iron_loss: Any = 0.0,
+    ) -> None:
         self.R_s, self.L_d = positive("R_s", R_s), positive("L_d", L_d)
         self.L_q, self.psi_f = positive("L_q", L_q), not_negative("psi_f", psi_f)
         if isinstance(n_p, int | float) and (n_p < 1 or n_p != int(n_p)):
             raise ModelError(f"n_p must be a whole number of pole pairs, got {n_p}")
         self.n_p = real("n_p", n_p, ())
+        self.fifth, self.seventh = real("fifth", fifth, ()), real("seventh", seventh, ())
+        self.iron_loss = not_negative("iron_loss", iron_loss)
 
     @staticmethod
     def of(machine: RotatingMachine) -> Motor:
@@ -92,9 +117,15 @@ class Motor(eqx.Module):
         """Return the electrical speed of the rotor's vector relative to the rotor [rad/s]."""
         return jnp.zeros(())
 
+    def harmonics(self, rotor: Array) -> Array:
+        """Return the harmonics of the magnet flux in rotor coordinates [Wb]."""
+        sixth = rotor * rotor * rotor
+        sixth = sixth * sixth
+        return self.psi_f * (self.fifth * jnp.conj(sixth) + self.seventh * sixth)
+
     def flux(self, current: Array, rotor: Array) -> Array:
         """Return the flux linkage at a current."""
-        return rotor * self.flux_dq(current * jnp.conj(rotor))
+        return rotor * (self.flux_dq(current * jnp.conj(rotor)) + self.harmonics(rotor))
 
     def flux_dq(self, current: Array) -> Array:
         """Return the flux linkage at a current, both in rotor coordinates."""
@@ -102,7 +133,7 @@ class Motor(eqx.Module):
 
     def current(self, flux: Array, rotor: Array) -> Array:
         """Return the current at a flux linkage."""
-        x = flux * jnp.conj(rotor)
+        x = flux * jnp.conj(rotor) - self.harmonics(rotor)
         return rotor * jax.lax.complex((x.real - self.psi_f) / self.L_d, x.imag / self.L_q)
 
     def torque(self, flux: Array, current: Array) -> Array:
@@ -146,7 +177,8 @@ class MappedMotor(Motor):
         return self.map.at(current)[0]
 
     def current(self, flux: Array, rotor: Array) -> Array:
-        return rotor * self.map.current(flux * jnp.conj(rotor), self.L_d, self.L_q)
+        x = flux * jnp.conj(rotor) - self.harmonics(rotor)
+        return rotor * self.map.current(x, self.L_d, self.L_q)
 
     def field_energy(self, current: Array, rotor: Array) -> Array:
         """Return the magnetic energy of the currents [J], ∫ i dλ on a straight path from i = 0."""
@@ -312,7 +344,14 @@ class Plant(eqx.Module):
         return PlantState(self.motor.flux(0 * rotor, rotor), rotor, speed, speed, jnp.zeros(()))
 
     def current(self, state: PlantState) -> Array:
+        """Return the current of the windings."""
         return self.motor.current(state.flux, state.rotor)
+
+    def terminal_current(self, state: PlantState) -> Array:
+        """Return the current of the terminals: that of the windings and of the iron loss."""
+        speed_e = self.motor.n_p * state.speed
+        iron = jax.lax.complex(jnp.zeros(()), self.motor.iron_loss * speed_e) * state.flux
+        return self.current(state) + iron
 
     def rate(self, state: PlantState, voltage: Array, load: Array) -> PlantState:
         """Return the time derivative under a voltage [V] and a load torque [N m]."""
@@ -328,7 +367,7 @@ class Plant(eqx.Module):
             acceleration = (torque - load - m.resisting(state.speed)) / m.J
             load_rate, twist_rate = acceleration, jnp.zeros(())
         return PlantState(
-            voltage - motor.R_s * i,
+            voltage - motor.R_s * self.terminal_current(state),
             motor.rotor_rate(state.rotor, i, motor.n_p * state.speed),
             acceleration,
             load_rate,

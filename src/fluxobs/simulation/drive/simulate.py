@@ -76,6 +76,8 @@ class Course(eqx.Module):
         Commanded voltage minus true voltage [V].
     theta_e, start_speed : float
         Initial angle [rad] and speed [rad/s mechanical] of the rotor.
+    heat : Profile or number
+        Stator resistance divided by its initial value, which rises as the winding warms.
     """
 
     speed: Profile
@@ -84,6 +86,7 @@ class Course(eqx.Module):
     voltage_offset: Profile
     theta_e: Array
     start_speed: Array
+    heat: Profile
 
     def __init__(
         self,
@@ -93,11 +96,13 @@ class Course(eqx.Module):
         voltage_offset: Any = (0.0, 0.0),
         theta_e: Any = 0.0,
         start_speed: Any = 0.0,
+        heat: Any = 1.0,
     ) -> None:
         self.speed, self.load = Profile.of(speed), Profile.of(load)
         self.dc_link, self.voltage_offset = Profile.of(dc_link), Profile.of(voltage_offset)
         self.theta_e = real("theta_e", theta_e)
         self.start_speed = real("start_speed", start_speed)
+        self.heat = Profile.of(heat)
 
 
 class Trace(NamedTuple):
@@ -186,6 +191,7 @@ class _Row(NamedTuple):
     current_offset: Array
     noise: Array
     late: Array
+    heat: Array
 
 
 def simulate(
@@ -320,7 +326,9 @@ def simulate_lanes(
 
 def _longest_profile(lanes: Sequence[tuple[Drive, Course]]) -> int:
     """Return the number of knots of the longest profile."""
-    profiles = ((d.sensors.offset, c.speed, c.load, c.dc_link, c.voltage_offset) for d, c in lanes)
+    profiles = (
+        (d.sensors.offset, c.speed, c.load, c.dc_link, c.voltage_offset, c.heat) for d, c in lanes
+    )
     return max(len(profile.times) for of_lane in profiles for profile in of_lane)
 
 
@@ -482,6 +490,7 @@ def _run(
         vector(drive.sensors.offset.at(t)),
         vector(noise[:, :2]),
         noise[:, 2],
+        course.heat.at(t),
     )
     zero = jnp.zeros(())
     start = _Loop(
@@ -505,11 +514,12 @@ def _run(
 
 def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tuple[_Loop, Trace]:
     """Measure, observe and control; then advance the plant by one sample time."""
-    plant, control, h = drive.plant, drive.control, drive.sample_time
+    control, h = drive.control, drive.sample_time
+    plant = eqx.tree_at(lambda p: p.motor.R_s, drive.plant, row.heat * drive.plant.motor.R_s)
     motor, state = plant.motor, loop.plant
-    current = plant.current(state)
+    current = plant.terminal_current(state)
     rate = plant.rate(state, loop.acted, row.load)
-    _, slope = jax.jvp(plant.current, (state,), (rate,))
+    _, slope = jax.jvp(plant.terminal_current, (state,), (rate,))
     measured = drive.sensors.measure(current, slope, row.current_offset, row.noise, row.late)
     dc_link = row.dc_link * drive.sensors.dc_link_gain
 
@@ -577,7 +587,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
 
     applied = loop.pending if delay else command
     after, mean = _advance_plant(
-        drive, state, applied - row.voltage_offset, current, row, steps, dc_link
+        drive, plant, state, applied - row.voltage_offset, current, row, steps, dc_link
     )
     trace = Trace(
         current,
@@ -587,7 +597,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         state.flux,
         jnp.arctan2(state.rotor.imag, state.rotor.real),
         state.speed,
-        motor.torque(state.flux, current),
+        motor.torque(state.flux, plant.current(state)),
         current_reference,
         mode,
         voltage_limited,
@@ -601,6 +611,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
 
 def _advance_plant(
     drive: Drive,
+    plant: Plant,
     state: PlantState,
     voltage: Array,
     current: Array,
@@ -609,13 +620,14 @@ def _advance_plant(
     dc_link: Array,
 ) -> tuple[PlantState, Array]:
     """Return (plant state one sample later, mean true voltage)."""
-    inverter, plant, h = drive.inverter, drive.plant, drive.sample_time
+    inverter, h = drive.inverter, drive.sample_time
     # Duty cycles come from the measured DC link, the voltage from the true DC link.
     duties = inverter.duties(voltage, dc_link)
     if inverter.switching == 0:
         # A leg switches twice per period, around its middle; the current there determines the loss.
         at_start = inverter.averaged(duties, row.dc_link, current, h)
-        _, slope = jax.jvp(plant.current, (state,), (plant.rate(state, at_start, row.load),))
+        rate = plant.rate(state, at_start, row.load)
+        _, slope = jax.jvp(plant.terminal_current, (state,), (rate,))
         mean = inverter.averaged(duties, row.dc_link, current + h / 2 * slope, h)
         return plant.advance(state, mean, row.load, h, steps), mean
     intervals = inverter.switching
@@ -625,7 +637,7 @@ def _advance_plant(
         carried: tuple[PlantState, Array], k: Array
     ) -> tuple[tuple[PlantState, Array], None]:
         now, mean = carried
-        u = inverter.switched(duties, row.dc_link, plant.current(now), h, k)
+        u = inverter.switched(duties, row.dc_link, plant.terminal_current(now), h, k)
         after = plant.advance(now, u, row.load, h / intervals, steps_each)
         return (after, mean + u / intervals), None
 
