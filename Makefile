@@ -15,7 +15,7 @@ BIN := $(VENV)/bin
 # An editable installation lists the package's files by name: a new file requires reinstallation.
 READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | cksum | cut -d ' ' -f 1)
 FIRMWARE := $(wildcard firmware/*.c)
-SOURCES := CMakeLists.txt pyproject.toml $(wildcard binding/*) $(FIRMWARE) $(wildcard firmware/*.h)
+SOURCES := CMakeLists.txt pyproject.toml $(wildcard binding/*) $(wildcard smoothing/*) $(FIRMWARE) $(wildcard firmware/*.h)
 
 PAGE := src/fluxobs/page/page.html
 PAGE_SOURCES := $(wildcard web/*.py web/*.c web/*.json web/app/* web/runtime/*) binding/columns.h \
