@@ -19,6 +19,7 @@
 
 #include "lanes.h"
 #include "numbers.h"
+#include "owned.h"
 #include "parameters.h"
 #include "xla.h"
 
@@ -50,12 +51,6 @@ void copy(fo_real (&target)[FO_N][FO_N], const Matrix &source) {
 
 void copy(fo_real (&target)[FO_N], const Vector &source) {
     for (std::size_t i = 0; i < FO_N; i++) target[i] = static_cast<fo_real>(source(i));
-}
-
-template <class T>
-nb::ndarray<nb::numpy, T> owned(std::unique_ptr<T[]> data, std::initializer_list<std::size_t> shape) {
-    nb::capsule owner(data.get(), [](void *p) noexcept { delete[] static_cast<T *>(p); });
-    return nb::ndarray<nb::numpy, T>(data.release(), shape, owner);
 }
 
 // `field` is the wrong field, if it is known.

@@ -3,9 +3,10 @@
 #include <nanobind/ndarray.h>
 
 #include <cstddef>
-#include <initializer_list>
 #include <memory>
+#include <utility>
 
+#include "owned.h"
 #include "smoother.h"
 
 namespace nb = nanobind;
@@ -14,26 +15,19 @@ namespace {
 
 using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Column = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Result = nb::ndarray<nb::numpy, double>;
 
 constexpr std::size_t N = FO_SMOOTH;
 static_assert(sizeof(fo_smooth_block) == (9 + N) * sizeof(double), "a block is a row of numbers");
 
-struct Room {
-    explicit Room(std::size_t count) : numbers(new double[count]) {}
-    double *get() const { return numbers.get(); }
-    Result owned(std::initializer_list<std::size_t> shape) {
-        nb::capsule owner(numbers.get(),
-                          [](void *p) noexcept { delete[] static_cast<double *>(p); });
-        return Result(numbers.release(), shape, owner);
-    }
-    std::unique_ptr<double[]> numbers;
-};
+using Numbers = std::unique_ptr<double[]>;
+
+Numbers room_for(std::size_t count) { return Numbers(new double[count]); }
 
 nb::tuple smooth(const Rows &blocks, const Rows &measured, const Column &start) {
     const std::size_t count = blocks.shape(0), sides = measured.shape(1);
-    Room state(count * N * sides), covariance(count * N * N), innovation(count * sides),
-        spread(count), gain(count * N), work(2 * N * sides);
+    Numbers state = room_for(count * N * sides), covariance = room_for(count * N * N),
+            innovation = room_for(count * sides), spread = room_for(count),
+            gain = room_for(count * N), work = room_for(2 * N * sides);
     const fo_smooth_room room = {state.get(),  covariance.get(), innovation.get(),
                                  spread.get(), gain.get(),       work.get()};
     {
@@ -41,8 +35,9 @@ nb::tuple smooth(const Rows &blocks, const Rows &measured, const Column &start) 
         fo_smooth(reinterpret_cast<const fo_smooth_block *>(blocks.data()), count, measured.data(),
                   sides, start.data(), &room);
     }
-    return nb::make_tuple(state.owned({count, N, sides}), covariance.owned({count, N, N}),
-                          innovation.owned({count, sides}), spread.owned({count}));
+    return nb::make_tuple(
+        owned(std::move(state), {count, N, sides}), owned(std::move(covariance), {count, N, N}),
+        owned(std::move(innovation), {count, sides}), owned(std::move(spread), {count}));
 }
 
 }  // namespace

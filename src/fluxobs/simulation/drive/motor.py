@@ -347,11 +347,14 @@ class Plant(eqx.Module):
         """Return the current of the windings."""
         return self.motor.current(state.flux, state.rotor)
 
+    def iron_current(self, state: PlantState) -> Array:
+        """Return the current of the iron loss."""
+        speed_e = self.motor.n_p * state.speed
+        return jax.lax.complex(jnp.zeros(()), self.motor.iron_loss * speed_e) * state.flux
+
     def terminal_current(self, state: PlantState) -> Array:
         """Return the current of the terminals: that of the windings and of the iron loss."""
-        speed_e = self.motor.n_p * state.speed
-        iron = jax.lax.complex(jnp.zeros(()), self.motor.iron_loss * speed_e) * state.flux
-        return self.current(state) + iron
+        return self.current(state) + self.iron_current(state)
 
     def rate(self, state: PlantState, voltage: Array, load: Array) -> PlantState:
         """Return the time derivative under a voltage [V] and a load torque [N m]."""
@@ -367,7 +370,7 @@ class Plant(eqx.Module):
             acceleration = (torque - load - m.resisting(state.speed)) / m.J
             load_rate, twist_rate = acceleration, jnp.zeros(())
         return PlantState(
-            voltage - motor.R_s * self.terminal_current(state),
+            voltage - motor.R_s * (i + self.iron_current(state)),
             motor.rotor_rate(state.rotor, i, motor.n_p * state.speed),
             acceleration,
             load_rate,

@@ -514,10 +514,11 @@ def _run(
 
 def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tuple[_Loop, Trace]:
     """Measure, observe and control; then advance the plant by one sample time."""
-    control, h = drive.control, drive.sample_time
-    plant = eqx.tree_at(lambda p: p.motor.R_s, drive.plant, row.heat * drive.plant.motor.R_s)
+    drive = eqx.tree_at(lambda d: d.plant.motor.R_s, drive, row.heat * drive.plant.motor.R_s)
+    plant, control, h = drive.plant, drive.control, drive.sample_time
     motor, state = plant.motor, loop.plant
-    current = plant.terminal_current(state)
+    winding_current = plant.current(state)
+    current = winding_current + plant.iron_current(state)
     rate = plant.rate(state, loop.acted, row.load)
     _, slope = jax.jvp(plant.terminal_current, (state,), (rate,))
     measured = drive.sensors.measure(current, slope, row.current_offset, row.noise, row.late)
@@ -587,7 +588,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
 
     applied = loop.pending if delay else command
     after, mean = _advance_plant(
-        drive, plant, state, applied - row.voltage_offset, current, row, steps, dc_link
+        drive, state, applied - row.voltage_offset, current, row, steps, dc_link
     )
     trace = Trace(
         current,
@@ -597,7 +598,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         state.flux,
         jnp.arctan2(state.rotor.imag, state.rotor.real),
         state.speed,
-        motor.torque(state.flux, plant.current(state)),
+        motor.torque(state.flux, winding_current),
         current_reference,
         mode,
         voltage_limited,
@@ -611,7 +612,6 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
 
 def _advance_plant(
     drive: Drive,
-    plant: Plant,
     state: PlantState,
     voltage: Array,
     current: Array,
@@ -620,7 +620,7 @@ def _advance_plant(
     dc_link: Array,
 ) -> tuple[PlantState, Array]:
     """Return (plant state one sample later, mean true voltage)."""
-    inverter, h = drive.inverter, drive.sample_time
+    inverter, plant, h = drive.inverter, drive.plant, drive.sample_time
     # Duty cycles come from the measured DC link, the voltage from the true DC link.
     duties = inverter.duties(voltage, dc_link)
     if inverter.switching == 0:
