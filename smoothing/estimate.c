@@ -1,0 +1,300 @@
+#include "estimate.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "matrix.h"
+#include "start.h"
+
+enum { N = FO_SMOOTH, DRIFT = 2, PSI = 4, RESISTANCE = 5 };
+
+/* A row is known if its auxiliary flux has this share of the usual flux, and if the innovations
+ * around it have less than this mean square; 1 would be what the model expects. */
+#define KNOWN_SHARE 0.1
+#define KNOWN_MISFIT 0.3
+/* Time around a row over which the innovations are averaged [s], and fewest blocks on a side. */
+#define MISFIT_TIME 0.02
+enum { MISFIT_BLOCKS = 3 };
+/* Rows over which the speed is fitted. */
+#define SPEED_WINDOW 40.0
+
+size_t fo_rows_per_block(const fo_model *m)
+{
+    const double speed = clamp(m->speed, 1e-3, 1.5 / m->sample_time);
+    const double rows = floor(FO_BLOCK_ANGLE / (speed * m->sample_time) + 0.5);
+    return (size_t)clamp(rows, 1.0, FO_LONGEST_BLOCK);
+}
+
+/* Variances and sensitivities of a block. */
+typedef struct {
+    double angle;        /* variance but for the row's noise [rad^2] */
+    double noise;        /* [rad^2] */
+    double speed;        /* [(rad/s)^2] */
+    double flux[2];      /* [Wb^2] */
+    double torque;       /* [(W s)^2] */
+    double psi, drift, resistance;
+    double innovation, misfit;
+} spread;
+
+static bool allocate(fo_work *w, fo_smoothed *s)
+{
+    const size_t n = w->record.rows, blocks = w->blocks, sides = s->sides;
+    w->angle = malloc(n * sizeof *w->angle);
+    w->speed = calloc(n, sizeof *w->speed);
+    w->unwrapped = malloc(n * sizeof *w->unwrapped);
+    w->correction = calloc(blocks, sizeof *w->correction);
+    w->psi = calloc(blocks, sizeof *w->psi);
+    w->block = calloc(blocks, sizeof *w->block);
+    w->about = calloc(blocks, sizeof *w->about);
+    w->measured = malloc(blocks * sides * sizeof *w->measured);
+    w->across = malloc((blocks * w->columns + 1) * sizeof *w->across);
+    w->total = malloc((blocks * w->columns + 1) * sizeof *w->total);
+    s->room.state = malloc(blocks * N * sides * sizeof(double));
+    s->room.covariance = malloc(blocks * N * N * sizeof(double));
+    s->room.innovation = malloc(blocks * sides * sizeof(double));
+    s->room.spread = malloc(blocks * sizeof(double));
+    s->room.gain = malloc(blocks * N * sizeof(double));
+    s->room.work = malloc(2 * N * sides * sizeof(double));
+    return w->angle && w->speed && w->unwrapped && w->correction && w->psi && w->block &&
+           w->about && w->measured && w->across && w->total && s->room.state &&
+           s->room.covariance && s->room.innovation && s->room.spread && s->room.gain &&
+           s->room.work;
+}
+
+static void release(fo_work *w, fo_smoothed *s)
+{
+    free(w->angle);
+    free(w->speed);
+    free(w->unwrapped);
+    free(w->correction);
+    free(w->psi);
+    free(w->block);
+    free(w->about);
+    free(w->measured);
+    free(w->across);
+    free(w->total);
+    free(s->room.state);
+    free(s->room.covariance);
+    free(s->room.innovation);
+    free(s->room.spread);
+    free(s->room.gain);
+    free(s->room.work);
+}
+
+/* Derivatives of the angle of a block by the assumptions. */
+static void angle_columns(const fo_work *w, const fo_smoothed *s, size_t b, double *column)
+{
+    const double *x = s->room.state + b * N * s->sides;
+    const fo_block *about = &w->about[b];
+    for (size_t j = 0; j < w->columns; j++)
+        column[j] = w->across[b * w->columns + j] + about->across.re * x[1 + j] +
+                    about->across.im * x[s->sides + 1 + j] +
+                    about->across_psi * x[PSI * s->sides + 1 + j];
+}
+
+static void misfits(const fo_work *w, const fo_smoothed *s, spread *all)
+{
+    const size_t blocks = w->blocks;
+    const double span = MISFIT_TIME / (w->model->sample_time * (double)w->per_block);
+    const size_t side = span > MISFIT_BLOCKS ? (size_t)span : MISFIT_BLOCKS;
+    for (size_t b = 0; b < blocks; b++) {
+        const double v = s->room.spread[b];
+        all[b].innovation = isfinite(v) ? s->room.innovation[b * s->sides] / sqrt(v) : 0.0;
+    }
+    double sum = 0.0;
+    size_t low = 0, high = 0; /* blocks low .. high - 1 are in the sum */
+    for (size_t b = 0; b < blocks; b++) {
+        const size_t to = b + side + 1 < blocks ? b + side + 1 : blocks,
+                     from = b > side ? b - side : 0;
+        for (; high < to; high++) sum += all[high].innovation * all[high].innovation;
+        for (; low < from; low++) sum -= all[low].innovation * all[low].innovation;
+        all[b].misfit = fmax(sum, 0.0) / (double)(high - low);
+    }
+}
+
+static double squares(const fo_work *w, const fo_learnt *l, const double *x)
+{
+    return fo_form(l->covariance, (int)w->columns, x, x);
+}
+
+static void spread_of(const fo_work *w, const fo_learnt *l, const fo_smoothed *s, size_t b,
+                      spread *out, double *budget)
+{
+    const fo_model *m = w->model;
+    const fo_block *about = &w->about[b];
+    const size_t P = w->columns, sides = s->sides;
+    const double *x = s->room.state + b * N * sides, *c = s->room.covariance + b * N * N;
+    double angle[FO_P], column[FO_P], other[FO_P], scaled[FO_P];
+    const double h[3] = {about->across.re, about->across.im, about->across_psi};
+    static const int of[3] = {0, 1, PSI};
+    double filter = 0.0;
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) filter += h[i] * h[k] * c[of[i] * N + of[k]];
+    filter *= l->filter_scale;
+    angle_columns(w, s, b, angle);
+    const double assumed = squares(w, l, angle);
+    out->angle = filter + assumed;
+    out->noise = about->across_noise;
+    if (budget != NULL) {
+        memset(budget, 0, FO_BUDGET * sizeof *budget);
+        for (size_t i = 0; i < P; i++) {
+            double row = 0.0;
+            for (size_t j = 0; j < P; j++) row += l->covariance[i * P + j] * angle[j];
+            budget[w->active[i]] = angle[i] * row;
+        }
+        budget[FO_BUDGET_SMOOTHER] = filter;
+        budget[FO_BUDGET_NOISE] = out->noise;
+    }
+    /* Speed: change of the angle's error from the block before to the block after. */
+    const size_t before = b > 0 ? b - 1 : b, after = b + 1 < w->blocks ? b + 1 : b;
+    const double T = m->sample_time * (double)w->per_block;
+    out->speed = 0.0;
+    if (after > before) {
+        angle_columns(w, s, before, column);
+        angle_columns(w, s, after, other);
+        for (size_t j = 0; j < P; j++)
+            scaled[j] = (other[j] - column[j]) / (T * (double)(after - before));
+        out->speed = squares(w, l, scaled);
+    }
+    const double window = SPEED_WINDOW * m->sample_time;
+    out->speed += 2.0 * out->noise / (window * window) +
+                  l->filter_scale * dot(about->across, about->across) *
+                      fo_flux_walk(w, l->p, b) / window;
+    /* Flux and torque. The torque is λ × i. */
+    const vec i = about->current_still;
+    for (int n = 0; n < 2; n++) {
+        for (size_t j = 0; j < P; j++) {
+            const vec total = w->total[b * P + j];
+            column[j] = (n == 0 ? total.re : total.im) + x[(size_t)n * sides + 1 + j];
+        }
+        out->flux[n] = l->filter_scale * c[n * N + n] + squares(w, l, column);
+    }
+    for (size_t j = 0; j < P; j++) {
+        const vec total = w->total[b * P + j];
+        const vec flux = plus(total, vec_of(x[1 + j], x[sides + 1 + j]));
+        vec current = {0.0, 0.0};
+        switch (w->active[j]) {
+        case FO_P_offset_alpha: current = vec_of(-1.0, 0.0); break;
+        case FO_P_offset_beta: current = vec_of(0.0, -1.0); break;
+        case FO_P_current_gain_re: current = times(-1.0, conjugate(i)); break;
+        case FO_P_current_gain_im: current = times(-1.0, turned(conjugate(i))); break;
+        default: break;
+        }
+        column[j] = flux.re * i.im - flux.im * i.re + about->flux.re * current.im -
+                    about->flux.im * current.re;
+    }
+    out->torque = squares(w, l, column) +
+                  l->filter_scale * (c[0] * i.im * i.im - 2.0 * c[1] * i.re * i.im +
+                                     c[N + 1] * i.re * i.re);
+    /* Slow states and what they share with the assumptions. */
+    const int slow[3] = {PSI, RESISTANCE, DRIFT}, with[3] = {FO_P_psi_f, FO_P_resistance, -1};
+    double *const to[3] = {&out->psi, &out->resistance, &out->drift};
+    for (int n = 0; n < 3; n++) {
+        for (size_t j = 0; j < P; j++)
+            column[j] = x[(size_t)slow[n] * sides + 1 + j] + (w->active[j] == with[n] ? 1.0 : 0.0);
+        *to[n] = l->filter_scale * c[slow[n] * N + slow[n]] + squares(w, l, column);
+    }
+}
+
+#define MIX(field) ((1.0 - at.share) * a->field + at.share * z->field)
+
+static void write_rows(const fo_work *w, const fo_learnt *l, const fo_smoothed *s, const fo_row *rows,
+                       const spread *all, const fo_estimates *out)
+{
+    const fo_model *m = w->model;
+    const size_t n = w->record.rows, sides = s->sides;
+    const bool turns_itself = m->psi > 0.0 || m->L_M > 0.0;
+    double last = 0.0;
+    for (size_t k = 0; k < n; k++) {
+        const fo_place at = fo_place_of(w, k);
+        const size_t next = at.block + 1 < w->blocks ? at.block + 1 : at.block;
+        const spread *a = &all[at.block], *z = &all[next];
+        const double *x = s->room.state + at.block * N * sides, *y = s->room.state + next * N * sides;
+        double *to = out->columns + k;
+#define SET(name, value) to[FO_S_##name * n] = (value)
+#define STATE(row) ((1.0 - at.share) * x[(row) * sides] + at.share * y[(row) * sides])
+        const vec measured = w->record.current[k];
+        const vec offset = vec_of(l->p[FO_P_offset_alpha], l->p[FO_P_offset_beta]),
+                  gain = vec_of(l->p[FO_P_current_gain_re], l->p[FO_P_current_gain_im]);
+        const vec i = minus(minus(measured, offset), product(gain, conjugate(measured)));
+        double angle = rows[k].angle;
+        if (!turns_itself) {
+            /* Only the current tells both ends of the rotor apart; near zero the last row does. */
+            const double i_d = dot(i, direction_of(angle));
+            const double sure = KNOWN_SHARE * m->current;
+            const bool flip =
+                fabs(i_d) > sure || k == 0 ? i_d < 0.0 : fabs(wrapped(angle - last)) > 1.5707963267948966;
+            if (flip) angle += 3.141592653589793;
+        }
+        last = angle;
+        SET(flux_alpha, rows[k].flux.re);
+        SET(flux_beta, rows[k].flux.im);
+        SET(flux_alpha_std, sqrt(fmax(MIX(flux[0]), 0.0)));
+        SET(flux_beta_std, sqrt(fmax(MIX(flux[1]), 0.0)));
+        const bool magnets = m->psi > 0.0 && m->L_M == 0.0;
+        SET(psi_f, magnets ? m->psi + l->p[FO_P_psi_f] + STATE(PSI) : rows[k].size);
+        SET(psi_f_std, sqrt(fmax(MIX(psi), 0.0)));
+        SET(theta_e, wrapped(angle));
+        SET(theta_e_std, sqrt(fmax(MIX(angle) + MIX(noise), 0.0)));
+        SET(speed_e, rows[k].speed);
+        SET(speed_e_std, sqrt(fmax(MIX(speed), 0.0)));
+        SET(torque, rows[k].flux.re * i.im - rows[k].flux.im * i.re);
+        SET(torque_std, sqrt(fmax(MIX(torque), 0.0)));
+        SET(drift_alpha, STATE(DRIFT));
+        SET(drift_beta, STATE(DRIFT + 1));
+        SET(drift_std, sqrt(fmax(MIX(drift), 0.0)));
+        SET(resistance, m->resistance + l->p[FO_P_resistance] + STATE(RESISTANCE));
+        SET(resistance_std, sqrt(fmax(MIX(resistance), 0.0)));
+        SET(innovation, at.share < 0.5 ? a->innovation : z->innovation);
+        SET(misfit, MIX(misfit));
+        out->known[k] = (uint8_t)(w->record.measured[k] &&
+                                  rows[k].size > KNOWN_SHARE * m->flux_base &&
+                                  MIX(misfit) < KNOWN_MISFIT);
+#undef SET
+#undef STATE
+    }
+}
+
+size_t fo_blocks_of(const fo_model *m, size_t rows) { return rows / fo_rows_per_block(m); }
+
+bool fo_estimate(const fo_model *m, const fo_record *r, bool learning, fo_learnt *learnt,
+                 const fo_estimates *out)
+{
+    fo_work w;
+    fo_smoothed s;
+    memset(&w, 0, sizeof w);
+    memset(&s, 0, sizeof s);
+    w.model = m;
+    w.record = *r;
+    w.per_block = fo_rows_per_block(m);
+    w.blocks = fo_blocks_of(m, r->rows);
+    for (int j = 0; j < FO_P; j++)
+        if (m->std[j] > 0.0) w.active[w.columns++] = j;
+    s.sides = 1 + w.columns;
+    bool good = allocate(&w, &s);
+    fo_row *rows = malloc(r->rows * sizeof *rows);
+    spread *all = malloc(w.blocks * sizeof *all);
+    good = good && rows != NULL && all != NULL;
+    if (good) {
+        memcpy(w.angle, r->angle, r->rows * sizeof *w.angle);
+        double current = 0.0;
+        for (size_t k = 0; k < r->rows; k++) {
+            const double i_d = dot(r->current[k], direction_of(r->angle[k]));
+            current += i_d > 0.0 ? i_d : 0.0;
+        }
+        w.start_rotor_flux = m->rotor_flux_start * m->L_M * current / (double)r->rows;
+        good = fo_start(&w, learnt->p) && fo_learn(&w, learning, learnt, &s);
+    }
+    if (good) {
+        fo_linearise(&w, learnt->p, rows);
+        misfits(&w, &s, all);
+        for (size_t b = 0; b < w.blocks; b++)
+            spread_of(&w, learnt, &s, b, &all[b],
+                      out->budget == NULL ? NULL : out->budget + b * FO_BUDGET);
+        write_rows(&w, learnt, &s, rows, all, out);
+    }
+    free(rows);
+    free(all);
+    release(&w, &s);
+    return good;
+}

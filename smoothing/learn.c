@@ -1,0 +1,402 @@
+#include "learn.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "cells.h"
+#include "matrix.h"
+#include "start.h"
+
+enum { N = FO_SMOOTH, PSI = 4 };
+
+/* Most iterations; the first ones move only the flux, not the assumptions. */
+enum { ITERATIONS = 16, FLUX_FIRST = 3, POLISHING = 2 };
+/* Largest step of an assumption that bends the relation. */
+#define LARGEST_SHAPE_STEP 0.3
+#define LARGEST_HARMONIC_STEP 0.02
+/* An iteration ends if no assumption moves by more than this share of its std. */
+#define SETTLED 0.05
+/* A worse step is repeated with this share of its length, until it is shorter than the least. */
+#define SHORTER 0.3
+#define SHORTEST 0.02
+/* Rise of the cost, per block and in all, that counts as worse. */
+#define WORSE_PER_BLOCK 0.02
+#define WORSE 5.0
+/* Voltage error that every inverter has: share of the voltage, and of the usual voltage. */
+#define VOLTAGE_SHARE 0.003
+#define USUAL_VOLTAGE_SHARE 0.001
+/* The voltage error is constant at most this long [s]. */
+#define LONGEST_ERROR 1.5
+#define DRIFT_RATE 0.05
+/* Least inverter loss, as a share of its prior. */
+#define LEAST_LOSS 0.1
+/* A cage's flux differs from that of its model by this share of the rated flux. */
+#define ROTOR_FLUX_ERROR 0.05
+/* Share of the noise in the regressors that is taken from the information. */
+#define REGRESSOR_NOISE 0.999
+
+double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block)
+{
+    const fo_model *m = w->model;
+    const fo_block *b = &w->about[block];
+    const double loss = fabs(p[FO_P_inverter_hard] + p[FO_P_inverter_soft]),
+                 least = LEAST_LOSS * m->std[FO_P_inverter_hard],
+                 inverter = m->voltage_error * (loss > least ? loss : least),
+                 source = VOLTAGE_SHARE * b->voltage, usual = USUAL_VOLTAGE_SHARE * m->voltage;
+    const double rate = b->rotation / (m->sample_time * (double)w->per_block);
+    return 2.0 * (inverter * inverter + source * source + usual * usual) /
+           fmax(rate, 1.0 / LONGEST_ERROR);
+}
+
+/* Error of the linear relation [Wb^2]: the flux's covariance across the auxiliary flux. */
+static double curvature_variance(const fo_block *about, const fo_smooth_block *block,
+                                 const double *covariance)
+{
+    const double *row = block->row, size = fmax(hypot(row[0], row[1]), 1e-9);
+    const double x = -row[1] / size, y = row[0] / size;
+    const double across = covariance[0] * x * x + 2.0 * covariance[1] * x * y +
+                          covariance[N + 1] * y * y;
+    const double bend = across / about->size;
+    return 0.5 * bend * bend;
+}
+
+static void set_variances(fo_work *w, const double p[FO_P], const double *covariance)
+{
+    const fo_model *m = w->model;
+    const bool cage = m->L_M > 0.0;
+    const double decay_rate = cage ? m->R_R / m->L_M : 0.0;
+    const double wander = DRIFT_RATE * m->drift_std, resistance = m->resistance_rate * m->resistance,
+                 psi = m->psi_rate * m->flux_base, rotor = ROTOR_FLUX_ERROR * m->flux_base;
+    for (size_t b = 0; b < w->blocks; b++) {
+        fo_smooth_block *block = &w->block[b];
+        const fo_block *about = &w->about[b];
+        const double T = block->duration;
+        block->variance = about->noise + fo_model_variance(m, about->rotation);
+        if (covariance != NULL)
+            block->variance += curvature_variance(about, block, covariance + b * N * N);
+        if (!about->usable) block->variance = INFINITY;
+        block->decay = exp(-decay_rate * T);
+        block->walk[0] = fo_flux_walk(w, p, b) * T;
+        block->walk[1] = wander * wander * T;
+        block->walk[2] = cage ? rotor * rotor * (1.0 - block->decay * block->decay) : psi * psi * T;
+        block->walk[3] = resistance * resistance * T;
+    }
+}
+
+static void smooth_blocks(fo_work *w, const double p[FO_P], const double *covariance,
+                          fo_smoothed *s)
+{
+    const fo_model *m = w->model;
+    const double flux = 4.0 * m->flux_base * m->flux_base, drift = m->drift_std * m->drift_std;
+    const double start[N] = {flux,  flux,
+                             drift, drift,
+                             m->L_M > 0.0 ? m->flux_base * m->flux_base : 0.0, 0.0};
+    set_variances(w, p, covariance);
+    fo_smooth(w->block, w->blocks, w->measured, s->sides, start, &s->room);
+}
+
+/* What a step needs to know of the innovations. */
+typedef struct {
+    double *information, *gradient; /* columns^2, columns */
+    double regressor[FO_P];         /* information on L_d and L_q that is only noise */
+    double cost, chi, correlation;
+} normal;
+
+/* Adds the cells' share: -K (B'W E)' (B'W E). */
+static bool less_cells(const fo_work *w, const fo_smoothed *s, double usual_speed, normal *n)
+{
+    const fo_model *m = w->model;
+    const size_t P = w->columns, width = P + 2;
+    const double prior = m->cell_error * m->flux_base, variance = prior * prior;
+    fo_cells cells;
+    if (!(variance > 0.0)) return true;
+    double *sum = NULL;
+    bool good = fo_find_cells(w, s->room.spread, usual_speed, &cells);
+    if (good) {
+        sum = calloc(cells.count * width + 1, sizeof *sum); /* weight, W e, W E */
+        good = sum != NULL;
+    }
+    if (good) {
+        for (size_t b = 0; b < w->blocks; b++) {
+            if (cells.of[b] < 0) continue;
+            double *cell = sum + (size_t)cells.of[b] * width;
+            const double weight = 1.0 / s->room.spread[b];
+            const double *e = s->room.innovation + b * s->sides;
+            cell[0] += weight;
+            for (size_t j = 0; j <= P; j++) cell[1 + j] += weight * e[j];
+        }
+        for (size_t c = 0; c < cells.count; c++) {
+            const double *cell = sum + c * width, k = variance / (1.0 + variance * cell[0]);
+            n->cost -= 0.5 * k * cell[1] * cell[1];
+            for (size_t i = 0; i < P; i++) {
+                n->gradient[i] -= k * cell[2 + i] * cell[1];
+                for (size_t j = 0; j < P; j++)
+                    n->information[i * P + j] -= k * cell[2 + i] * cell[2 + j];
+            }
+        }
+    }
+    free(sum);
+    fo_free_cells(&cells);
+    return good;
+}
+
+static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_smoothed *s,
+                             double usual_speed, normal *n)
+{
+    const size_t P = w->columns;
+    double square = 0.0, product = 0.0, last = 0.0, regressor_d = 0.0, regressor_q = 0.0;
+    size_t count = 0;
+    memset(n->information, 0, P * P * sizeof *n->information);
+    memset(n->gradient, 0, P * sizeof *n->gradient);
+    n->cost = 0.0;
+    for (size_t b = 0; b < w->blocks; b++) {
+        const double spread = s->room.spread[b];
+        if (!isfinite(spread)) continue;
+        const double weight = 1.0 / spread, *e = s->room.innovation + b * s->sides,
+                     z = e[0] / sqrt(spread);
+        square += z * z;
+        product += z * last;
+        last = z;
+        count++;
+        n->cost += 0.5 * (e[0] * e[0] - w->about[b].noise) * weight;
+        regressor_d += w->about[b].square_d * weight;
+        regressor_q += w->about[b].square_q * weight;
+        for (size_t i = 0; i < P; i++) {
+            const double scaled = weight * e[1 + i];
+            n->gradient[i] += scaled * e[0];
+            for (size_t j = 0; j <= i; j++) n->information[i * P + j] += scaled * e[1 + j];
+        }
+    }
+    for (size_t i = 0; i < P; i++)
+        for (size_t j = 0; j < i; j++) n->information[j * P + i] = n->information[i * P + j];
+    if (!less_cells(w, s, usual_speed, n)) return false;
+    for (size_t i = 0; i < P; i++) {
+        const int j = w->active[i];
+        const double std = w->model->std[j], regressor = j == FO_P_L_d   ? regressor_d
+                                                         : j == FO_P_L_q ? regressor_q
+                                                                         : 0.0;
+        n->cost += 0.5 * (p[j] / std) * (p[j] / std);
+        n->gradient[i] -= regressor;
+        n->regressor[i] = REGRESSOR_NOISE * regressor;
+    }
+    n->chi = count > 0 ? square / (double)count : 0.0;
+    n->correlation = square > 0.0 ? product / square : 0.0;
+    return true;
+}
+
+static double largest_step(int assumption)
+{
+    switch (assumption) {
+    case FO_P_lag:
+    case FO_P_delay:
+    case FO_P_L_d:
+    case FO_P_L_q:
+    case FO_P_saturation_d:
+    case FO_P_saturation_q: return LARGEST_SHAPE_STEP;
+    case FO_P_fifth:
+    case FO_P_seventh: return LARGEST_HARMONIC_STEP;
+    default: return INFINITY;
+    }
+}
+
+/* Covariance of the assumptions, (information / scale + prior)⁻¹. `factor` has room for P^2. */
+static void posterior(const fo_work *w, const normal *n, double scale, double *covariance,
+                      double *factor)
+{
+    const size_t P = w->columns;
+    /* If noise outweighs a little information, it stays in: the sum is then positive. */
+    for (int attempt = 0; attempt < 2; attempt++) {
+        for (size_t i = 0; i < P; i++)
+            for (size_t j = 0; j <= i; j++) {
+                const double std_i = w->model->std[w->active[i]],
+                             std_j = w->model->std[w->active[j]];
+                double share = n->information[i * P + j];
+                if (i == j && attempt == 0) share -= n->regressor[i];
+                factor[i * P + j] = share / scale * std_i * std_j + (i == j ? 1.0 : 0.0);
+            }
+        if (fo_factorise(factor, (int)P)) break;
+    }
+    for (size_t i = 0; i < P; i++) {
+        double *row = covariance + i * P;
+        memset(row, 0, P * sizeof *row);
+        row[i] = 1.0;
+        fo_substitute(factor, (int)P, row);
+        for (size_t j = 0; j < P; j++)
+            row[j] *= w->model->std[w->active[i]] * w->model->std[w->active[j]];
+    }
+}
+
+/* Step of the assumptions; returns the largest share of its std. */
+static double step_of(const fo_work *w, const double p[FO_P], const normal *n, double scale,
+                      const double *covariance, double *step)
+{
+    const size_t P = w->columns;
+    double most = 1.0, moved = 0.0;
+    for (size_t i = 0; i < P; i++) {
+        step[i] = 0.0;
+        for (size_t j = 0; j < P; j++) {
+            const int a = w->active[j];
+            const double std = w->model->std[a];
+            step[i] -= covariance[i * P + j] * (n->gradient[j] / scale + p[a] / (std * std));
+        }
+        most = fmax(most, fabs(step[i]) / largest_step(w->active[i]));
+    }
+    for (size_t i = 0; i < P; i++) {
+        step[i] /= most;
+        moved = fmax(moved, fabs(step[i]) / sqrt(covariance[i * P + i]));
+    }
+    return moved;
+}
+
+/* Reference from the smoothed state and its sensitivities. */
+static void move_reference(fo_work *w, const fo_smoothed *s, const double *step, vec *correction,
+                           double *psi)
+{
+    for (size_t b = 0; b < w->blocks; b++) {
+        const double *x = s->room.state + b * N * s->sides;
+        double moved[3] = {x[0], x[s->sides], x[PSI * s->sides]};
+        for (size_t j = 0; step != NULL && j < w->columns; j++) {
+            moved[0] += x[1 + j] * step[j];
+            moved[1] += x[s->sides + 1 + j] * step[j];
+            moved[2] += x[PSI * s->sides + 1 + j] * step[j];
+        }
+        correction[b] = vec_of(moved[0], moved[1]);
+        psi[b] = moved[2];
+    }
+}
+
+/* The last accepted iteration, to go back to. */
+typedef struct {
+    double p[FO_P], *step, cost, share;
+    double *angle, *speed;
+    vec *from, *to;
+    double *psi_from, *psi_to;
+    bool set;
+} accepted;
+
+static void retreat(fo_work *w, double p[FO_P], const accepted *a)
+{
+    memcpy(p, a->p, FO_P * sizeof *p);
+    for (size_t j = 0; j < w->columns; j++) p[w->active[j]] += a->share * a->step[j];
+    for (size_t b = 0; b < w->blocks; b++) {
+        w->correction[b] = plus(times(1.0 - a->share, a->from[b]), times(a->share, a->to[b]));
+        w->psi[b] = (1.0 - a->share) * a->psi_from[b] + a->share * a->psi_to[b];
+    }
+    memcpy(w->angle, a->angle, w->record.rows * sizeof *w->angle);
+    memcpy(w->speed, a->speed, w->record.rows * sizeof *w->speed);
+}
+
+static double usual_speed(const fo_work *w)
+{
+    const double limit = 1.5 / w->model->sample_time;
+    return clamp(w->model->speed, 1e-3, limit);
+}
+
+static bool iterate(fo_work *w, fo_learnt *out, fo_smoothed *s, normal *n, accepted *a,
+                    double *factor)
+{
+    const size_t blocks = w->blocks, rows = w->record.rows;
+    const double worse = fmax(WORSE, WORSE_PER_BLOCK * (double)blocks);
+    const double *covariance = NULL;
+    for (int it = 0; it < ITERATIONS; it++) {
+        fo_linearise(w, out->p, NULL);
+        smooth_blocks(w, out->p, covariance, s);
+        covariance = s->room.covariance;
+        if (!normal_equations(w, out->p, s, usual_speed(w), n)) return false;
+        out->iterations = it + 1;
+        if (it >= FLUX_FIRST && a->set && n->cost > a->cost + worse) {
+            a->share *= SHORTER;
+            if (a->share < SHORTEST) a->share = 0.0;
+            retreat(w, out->p, a);
+            if (a->share == 0.0) break;
+            continue;
+        }
+        const double scale = fmax(1.0, n->chi);
+        posterior(w, n, scale, out->covariance, factor);
+        double moved = step_of(w, out->p, n, scale, out->covariance, a->step);
+        if (it + 1 < FLUX_FIRST) {
+            memset(a->step, 0, w->columns * sizeof *a->step);
+            moved = INFINITY;
+        }
+        memcpy(a->p, out->p, sizeof a->p);
+        memcpy(a->from, w->correction, blocks * sizeof *a->from);
+        memcpy(a->psi_from, w->psi, blocks * sizeof *a->psi_from);
+        memcpy(a->angle, w->angle, rows * sizeof *a->angle);
+        memcpy(a->speed, w->speed, rows * sizeof *a->speed);
+        move_reference(w, s, a->step, a->to, a->psi_to);
+        a->cost = n->cost;
+        a->share = 1.0;
+        a->set = true;
+        out->cost = n->cost;
+        for (size_t j = 0; j < w->columns; j++) out->p[w->active[j]] += a->step[j];
+        memcpy(w->correction, a->to, blocks * sizeof *a->to);
+        memcpy(w->psi, a->psi_to, blocks * sizeof *a->psi_to);
+        if (it >= FLUX_FIRST && moved < SETTLED) break;
+    }
+    return true;
+}
+
+/* Coloured innovations: sandwich of the assumptions' covariance. */
+static void colour(const fo_work *w, const normal *n, fo_learnt *out, double *work)
+{
+    const size_t P = w->columns;
+    const double r = clamp(n->correlation, 0.0, 0.95);
+    out->filter_scale = fmax(1.0, n->chi * (1.0 + r) / (1.0 - r));
+    if (!(out->filter_scale > 1.0)) return;
+    double *half = work; /* C I */
+    for (size_t i = 0; i < P; i++)
+        for (size_t j = 0; j < P; j++) {
+            half[i * P + j] = 0.0;
+            for (size_t k = 0; k < P; k++)
+                half[i * P + j] += out->covariance[i * P + k] * n->information[k * P + j];
+        }
+    double row[FO_P];
+    for (size_t i = 0; i < P; i++) {
+        memcpy(row, out->covariance + i * P, P * sizeof *row);
+        for (size_t j = 0; j < P; j++) {
+            double sum = 0.0;
+            for (size_t k = 0; k < P; k++) sum += half[i * P + k] * work[P * P + k * P + j];
+            row[j] += (out->filter_scale - 1.0) * sum;
+        }
+        memcpy(out->covariance + i * P, row, P * sizeof *row);
+    }
+}
+
+bool fo_learn(fo_work *w, bool learning, fo_learnt *out, fo_smoothed *s)
+{
+    const size_t P = w->columns, blocks = w->blocks, rows = w->record.rows;
+    double *small = malloc((4 * P * P + 3 * P + 1) * sizeof *small);
+    double *long_room = malloc(2 * rows * sizeof *long_room);
+    vec *pairs = malloc(2 * blocks * sizeof *pairs);
+    double *psis = malloc(2 * blocks * sizeof *psis);
+    bool good = small != NULL && long_room != NULL && pairs != NULL && psis != NULL;
+    if (good) {
+        normal n = {small, small + P * P, {0.0}, 0.0, 0.0, 0.0};
+        double *factor = small + P * P + P;
+        accepted a = {{0.0},         factor + P * P, 0.0,
+                      1.0,           long_room,      long_room + rows,
+                      pairs,         pairs + blocks, psis,
+                      psis + blocks, false};
+        double *work = factor + P * P + P;
+        if (learning) good = iterate(w, out, s, &n, &a, factor);
+        for (int k = 0; good && k < POLISHING; k++) {
+            fo_linearise(w, out->p, NULL);
+            smooth_blocks(w, out->p, k > 0 || learning ? s->room.covariance : NULL, s);
+            move_reference(w, s, NULL, w->correction, w->psi);
+        }
+        if (good) {
+            good = normal_equations(w, out->p, s, usual_speed(w), &n);
+            out->chi = n.chi;
+            out->correlation = n.correlation;
+            if (good && learning) {
+                memcpy(work + P * P, out->covariance, P * P * sizeof *work);
+                colour(w, &n, out, work);
+            }
+        }
+    }
+    free(small);
+    free(long_room);
+    free(pairs);
+    free(psis);
+    return good;
+}

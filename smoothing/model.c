@@ -1,0 +1,70 @@
+#include "model.h"
+
+/* Steps of the iteration for the angle: each squares its error, and the first guess is close. */
+enum { STEPS = 4 };
+/* An angle step below this [rad] ends the iteration; it is applied, but not evaluated again. */
+#define CLOSE 1e-5
+/* Largest step [rad]: beyond it the linear prediction is worthless. */
+#define LARGEST_STEP 0.5
+
+void fo_relate(const fo_model *m, const double p[FO_P], double psi, vec current, vec rotor,
+               fo_relation *at)
+{
+    fo_mapped f;
+    const double i[2] = {current.re, current.im};
+    fo_map_at(&m->map, i, 0.0, &f);
+    const double d = 1.0 + p[FO_P_L_d], q = 1.0 + p[m->one_inductance > 0.0 ? FO_P_L_d : FO_P_L_q];
+    const double over = 1.0 / m->current;
+    const double less_d = p[FO_P_saturation_d] * fabs(i[0]) * over,
+                 less_q = p[FO_P_saturation_q] * fabs(i[1]) * over;
+    at->map = vec_of(f.flux[0] - m->map.psi, f.flux[1]);
+    at->by_d = vec_of(f.by_d[0] * (d - 2.0 * less_d), f.by_d[1] * q);
+    at->by_q = vec_of(f.by_q[0] * d, f.by_q[1] * (q - 2.0 * less_q));
+    at->flux = vec_of(psi + at->map.re * (d - less_d), at->map.im * (q - less_q));
+    const vec second = product(rotor, rotor);
+    at->sixth = product(second, product(second, second));
+    const vec fifth = times(m->flux_base * p[FO_P_fifth], conjugate(at->sixth)),
+              seventh = times(m->flux_base * p[FO_P_seventh], at->sixth);
+    const vec inner = minus(times(i[0], at->by_q), times(i[1], at->by_d));
+    vec a = plus(at->flux, turned(inner));
+    a = plus(a, minus(times(7.0, seventh), times(5.0, fifth)));
+    at->flux = plus(at->flux, plus(fifth, seventh));
+    const double size = length_of(a), least = FO_SHORTEST_SHARE * m->flux_base;
+    at->size = size > least ? size : least;
+    at->along = size > 0.0 ? times(1.0 / size, a) : vec_of(1.0, 0.0);
+}
+
+double fo_solve_angle(const fo_model *m, const double p[FO_P], double psi, vec current, vec flux,
+                      double *angle, vec *rotor, vec *in_rotor, fo_relation *at)
+{
+    for (int n = 0;; n++) {
+        *rotor = direction_of(*angle);
+        *in_rotor = product(current, conjugate(*rotor));
+        fo_relate(m, p, psi, *in_rotor, *rotor, at);
+        const vec rest = minus(product(flux, conjugate(*rotor)), at->flux);
+        const double step = dot(rest, turned(at->along)) / at->size;
+        *angle += clamp(step, -LARGEST_STEP, LARGEST_STEP);
+        if (n + 1 == STEPS || fabs(step) < CLOSE) return dot(rest, at->along);
+    }
+}
+
+void fo_phase_signs(vec current, double knee, fo_sign *out)
+{
+    static const vec axis[3] = {
+        {1.0, 0.0}, {-0.5, 0.8660254037844386}, {-0.5, -0.8660254037844386}};
+    const double saturated = 9.0; /* tanh differs from 1 by 3e-8 there */
+    out->sign = vec_of(0.0, 0.0);
+    out->dd = out->dq = out->qq = 0.0;
+    for (int n = 0; n < 3; n++) {
+        const double x = dot(current, axis[n]) / knee;
+        if (fabs(x) > saturated) {
+            out->sign = plus(out->sign, times(x > 0.0 ? 2.0 / 3.0 : -2.0 / 3.0, axis[n]));
+        } else {
+            const double sign = tanh(x), slope = (1.0 - sign * sign) / knee * (2.0 / 3.0);
+            out->sign = plus(out->sign, times(sign * (2.0 / 3.0), axis[n]));
+            out->dd += slope * axis[n].re * axis[n].re;
+            out->dq += slope * axis[n].re * axis[n].im;
+            out->qq += slope * axis[n].im * axis[n].im;
+        }
+    }
+}

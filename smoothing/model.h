@@ -1,0 +1,79 @@
+/* The relation of flux, current and angle that a sample of a log must satisfy, with every
+ * assumption of assumptions.h. Theory: docs/theory.md, section 17. */
+#ifndef FLUXOBS_MODEL_H
+#define FLUXOBS_MODEL_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "assumptions.h"
+#include "fluxobs_map.h"
+#include "vector.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Numbers of the model and of the estimation. */
+#define FO_MODEL_FIELDS(NUMBER)                                                                \
+    NUMBER(sample_time)     /* [s]                                                          */ \
+    NUMBER(resistance)      /* [Ω]                                                          */ \
+    NUMBER(psi)             /* magnet flux [Wb]; 0 without magnets                          */ \
+    NUMBER(flux_base)       /* usual flux that turns with the rotor [Wb]                    */ \
+    NUMBER(R_R)             /* cage machine: rotor resistance [Ω], else 0                   */ \
+    NUMBER(L_M)             /* cage machine: magnetizing inductance [H], else 0             */ \
+    NUMBER(current)         /* rated current [A]                                            */ \
+    NUMBER(voltage)         /* usual voltage [V]                                            */ \
+    NUMBER(current_noise)   /* std of a component [A]                                       */ \
+    NUMBER(speed)           /* usual electrical speed [rad/s]                               */ \
+    NUMBER(drift_std)       /* of a component [V]                                           */ \
+    NUMBER(one_inductance)  /* 1: L_d stands for L_q too                                    */ \
+    NUMBER(model_error)     /* residual of the relation, share of the flux                  */ \
+    NUMBER(cell_error)      /* the same, constant at an operating point and angle           */ \
+    NUMBER(voltage_error)   /* unmodelled share of the inverter's loss                      */ \
+    NUMBER(psi_rate)        /* change of the magnet flux [1/√s]                             */ \
+    NUMBER(resistance_rate) /* change of the resistance [1/√s]                              */ \
+    NUMBER(rotor_flux_start) /* cage: share of the steady rotor flux at the first row       */
+
+#define FO_MODEL_NUMBER(name) double name;
+typedef struct {
+    FO_MODEL_FIELDS(FO_MODEL_NUMBER)
+    double std[FO_P]; /* prior of each assumption; 0: exact */
+    fo_map map;
+} fo_model;
+#undef FO_MODEL_NUMBER
+
+/* The relation at one sample and angle. */
+typedef struct {
+    vec flux;         /* in rotor coordinates, with harmonics [Wb] */
+    vec by_d, by_q;   /* its derivatives by the current [H] */
+    vec map;          /* flux of the current, before its scales [Wb] */
+    vec along;        /* unit vector along the auxiliary flux */
+    vec sixth;        /* e^{6jφ} */
+    double size;      /* length of the auxiliary flux [Wb] */
+} fo_relation;
+
+/* `psi` [Wb] is the flux of the magnets or of the rotor. */
+void fo_relate(const fo_model *m, const double p[FO_P], double psi, vec current, vec rotor,
+               fo_relation *at);
+
+/* Moves `angle` until the flux and the relation agree across the auxiliary flux; returns the
+ * residual along it [Wb]. `current` and `flux` in stator coordinates. */
+double fo_solve_angle(const fo_model *m, const double p[FO_P], double psi, vec current, vec flux,
+                      double *angle, vec *rotor, vec *in_rotor, fo_relation *at);
+
+/* Smoothed sign of the phase currents as a vector; with its derivative, a symmetric matrix. */
+typedef struct {
+    vec sign;
+    double dd, dq, qq;
+} fo_sign;
+void fo_phase_signs(vec current, double knee, fo_sign *out);
+
+/* Length below which the relation does not tell an angle, as a share of the flux. */
+#define FO_SHORTEST_SHARE 0.02
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,393 @@
+#include "rows.h"
+
+#include <string.h>
+
+/* Knees of the hard and of the soft sign of the inverter's loss, as shares of the rated current:
+ * measured inverters lie between (tests/smoothing). */
+#define HARD_KNEE 0.01
+#define SOFT_KNEE 0.06
+/* Bend of the loss: share of it at half of the rated current. */
+#define BEND 0.15
+/* The bend has a slope even without a loss: this share of the loss's prior. */
+#define LEAST_BEND 0.3
+/* Rows on each side from which the speed is fitted. */
+enum { SPEED_ROWS = 20 };
+/* A cage's flux below this share of its rated flux does not tell the angle. */
+#define LEAST_ROTOR_FLUX 0.3
+
+fo_place fo_place_of(const fo_work *w, size_t row)
+{
+    const double at = ((double)row - 0.5 * (double)(w->per_block - 1)) / (double)w->per_block;
+    fo_place place = {0, 0.0};
+    if (w->blocks > 1) {
+        const double inside = clamp(at, 0.0, (double)(w->blocks - 1));
+        place.block = (size_t)inside;
+        if (place.block + 2 > w->blocks) place.block = w->blocks - 2;
+        place.share = inside - (double)place.block;
+    }
+    return place;
+}
+
+static double interpolate(const double *values, fo_place at)
+{
+    return at.share == 0.0 ? values[at.block]
+                           : (1.0 - at.share) * values[at.block] + at.share * values[at.block + 1];
+}
+
+static vec interpolate_vector(const vec *values, fo_place at)
+{
+    if (at.share == 0.0) return values[at.block];
+    return plus(times(1.0 - at.share, values[at.block]), times(at.share, values[at.block + 1]));
+}
+
+/* The parts of a row that do not depend on the angle. */
+typedef struct {
+    vec current, conjugate_current; /* corrected [A]; and as logged, conjugate */
+    vec mean;                       /* of the current over the interval that ends here [A] */
+    vec middle;                     /* between the currents at both ends [A] */
+    vec voltage, around;            /* of the interval; mean of it and the next [V] */
+    vec bend;                       /* of the inverter's loss at inverter_curve = 1 [V] */
+    fo_sign hard, soft;
+    vec volt_seconds;               /* gained in the interval [V s] */
+} interval;
+
+static vec corrected(const double p[FO_P], vec i)
+{
+    const vec offset = vec_of(p[FO_P_offset_alpha], p[FO_P_offset_beta]),
+              gain = vec_of(p[FO_P_current_gain_re], p[FO_P_current_gain_im]);
+    return minus(minus(i, offset), product(gain, conjugate(i)));
+}
+
+static double sample_of(const double *x, ptrdiff_t k, ptrdiff_t n)
+{
+    /* Beyond the ends: continued linearly. */
+    if (k < 0) return 2.0 * x[0] - x[2];
+    if (k >= n) return 2.0 * x[2 * (n - 1)] - x[2 * (n - 2)];
+    return x[2 * k];
+}
+
+static vec sample(const vec *x, ptrdiff_t k, ptrdiff_t n)
+{
+    return vec_of(sample_of(&x->re, k, n), sample_of(&x->im, k, n));
+}
+
+static void interval_at(const fo_work *w, const double p[FO_P], size_t row, interval *at)
+{
+    const fo_model *m = w->model;
+    const fo_record *r = &w->record;
+    const ptrdiff_t k = (ptrdiff_t)row, n = (ptrdiff_t)r->rows;
+    const vec here = sample(r->current, k, n), before = sample(r->current, k - 1, n);
+    /* Mean of the cubic through four samples over the interval between the middle two. */
+    const vec outer = plus(sample(r->current, k - 2, n), sample(r->current, k + 1, n));
+    const vec mean = times(1.0 / 24.0, minus(times(13.0, plus(here, before)), outer));
+    at->current = corrected(p, here);
+    at->conjugate_current = conjugate(here);
+    at->mean = corrected(p, mean);
+    at->middle = corrected(p, row == 0 ? here : times(0.5, plus(here, before)));
+    at->voltage = r->voltage[row == 0 ? 1 : row];
+    at->around = times(0.5, plus(at->voltage, r->voltage[row + 1 < r->rows ? row + 1 : row]));
+    const double share = length_of(at->mean) / m->current;
+    at->bend = times(-BEND * (1.0 - share) / m->current, at->mean);
+    fo_phase_signs(at->middle, HARD_KNEE * m->current, &at->hard);
+    fo_phase_signs(at->middle, SOFT_KNEE * m->current, &at->soft);
+    const vec gain = vec_of(p[FO_P_voltage_gain_re], p[FO_P_voltage_gain_im]);
+    const double loss = p[FO_P_inverter_hard] + p[FO_P_inverter_soft];
+    vec v = plus(at->voltage, product(gain, conjugate(at->voltage)));
+    v = minus(v, times(m->resistance + p[FO_P_resistance], at->mean));
+    v = minus(v, times(p[FO_P_inverter_hard], at->hard.sign));
+    v = minus(v, times(p[FO_P_inverter_soft], at->soft.sign));
+    v = plus(v, times(p[FO_P_inverter_curve] * (loss > 0.0 ? loss : 0.0), at->bend));
+    at->volt_seconds = row == 0 ? vec_of(0.0, 0.0) : times(m->sample_time, v);
+}
+
+/* Derivative of a row's volt-seconds by a change of the measured current. */
+static vec by_current(const fo_work *w, const double p[FO_P], const interval *at, vec change)
+{
+    const fo_model *m = w->model;
+    const double hard = p[FO_P_inverter_hard], soft = p[FO_P_inverter_soft],
+                 R = m->resistance + p[FO_P_resistance],
+                 dd = R + hard * at->hard.dd + soft * at->soft.dd,
+                 dq = hard * at->hard.dq + soft * at->soft.dq,
+                 qq = R + hard * at->hard.qq + soft * at->soft.qq;
+    return times(-m->sample_time,
+                 vec_of(dd * change.re + dq * change.im, dq * change.re + qq * change.im));
+}
+
+/* Flux of a cage behind its leakage, from i_d; with its derivatives by R_R and L_M (as shares). */
+typedef struct {
+    double decay, by_share; /* over a sample; derivative of the decay by ln(R_R / L_M) */
+    double L_M;
+    double flux, by_R_R, by_L_M;
+    double last; /* i_d [A] */
+} rotor;
+
+static rotor rotor_at_start(const fo_model *m, const double p[FO_P], double flux)
+{
+    rotor c = {0.0, 0.0, m->L_M * (1.0 + p[FO_P_L_M]), flux, 0.0, 0.0, NAN};
+    if (m->L_M > 0.0) {
+        const double share = m->R_R * (1.0 + p[FO_P_R_R]) / c.L_M * m->sample_time;
+        c.decay = exp(-share);
+        c.by_share = -share * c.decay;
+        c.by_L_M = flux / (1.0 + p[FO_P_L_M]);
+    }
+    return c;
+}
+
+static void rotor_step(rotor *c, const double p[FO_P], double i_d)
+{
+    const double mean = isnan(c->last) ? i_d : 0.5 * (i_d + c->last);
+    const double towards = c->L_M * mean, away = c->flux - towards;
+    const double R_R = 1.0 + p[FO_P_R_R], L_M = 1.0 + p[FO_P_L_M];
+    c->by_R_R = c->decay * c->by_R_R + c->by_share / R_R * away;
+    c->by_L_M =
+        c->decay * c->by_L_M - c->by_share / L_M * away + (1.0 - c->decay) * towards / L_M;
+    c->flux = c->decay * c->flux + (1.0 - c->decay) * towards;
+    c->last = i_d;
+}
+
+static double steady_psi(const fo_model *m, const double p[FO_P])
+{
+    return m->psi + p[FO_P_psi_f];
+}
+
+/* Change of the flux in rotor coordinates by a change of the current there. */
+static vec by_rotor_current(const fo_relation *at, vec change)
+{
+    return plus(times(change.re, at->by_d), times(change.im, at->by_q));
+}
+
+void fo_integrate(const fo_work *w, const double p[FO_P], vec *volt_seconds, vec *current,
+                  double *psi)
+{
+    const fo_model *m = w->model;
+    const bool cage = m->L_M > 0.0;
+    rotor c = rotor_at_start(m, p, w->start_rotor_flux);
+    vec sum = vec_of(0.0, 0.0);
+    for (size_t k = 0; k < w->record.rows; k++) {
+        interval at;
+        interval_at(w, p, k, &at);
+        sum = plus(sum, at.volt_seconds);
+        volt_seconds[k] = minus(
+            sum, times(m->sample_time * (p[FO_P_lag] + p[FO_P_delay]), at.around));
+        current[k] = at.current;
+        if (cage) {
+            rotor_step(&c, p, dot(at.current, direction_of(w->angle[k])));
+            psi[k] = fmax(c.flux, FO_SHORTEST_SHARE * m->flux_base);
+        } else {
+            psi[k] = steady_psi(m, p);
+        }
+    }
+}
+
+/* Derivatives at a row by every assumption: of the volt-seconds gained, and of the relation. */
+static void volt_second_columns(const fo_work *w, const double p[FO_P], const interval *at,
+                                vec column[FO_P])
+{
+    const fo_model *m = w->model;
+    const double h = m->sample_time, loss = p[FO_P_inverter_hard] + p[FO_P_inverter_soft],
+                 least = LEAST_BEND * m->std[FO_P_inverter_hard];
+    const vec u = conjugate(at->voltage), i = at->conjugate_current;
+    column[FO_P_resistance] = times(-h, at->mean);
+    column[FO_P_inverter_hard] = times(-h, at->hard.sign);
+    column[FO_P_inverter_soft] = times(-h, at->soft.sign);
+    column[FO_P_inverter_curve] = times(h * (loss > least ? loss : least), at->bend);
+    column[FO_P_offset_alpha] = by_current(w, p, at, vec_of(-1.0, 0.0));
+    column[FO_P_offset_beta] = by_current(w, p, at, vec_of(0.0, -1.0));
+    column[FO_P_current_gain_re] = by_current(w, p, at, times(-1.0, i));
+    column[FO_P_current_gain_im] = by_current(w, p, at, times(-1.0, turned(i)));
+    column[FO_P_voltage_gain_re] = times(h, u);
+    column[FO_P_voltage_gain_im] = times(h, turned(u));
+}
+
+/* Assumptions that change the volt-seconds; they are summed over the rows. */
+static const int summed[] = {
+    FO_P_resistance,      FO_P_inverter_hard,   FO_P_inverter_soft,   FO_P_inverter_curve,
+    FO_P_offset_alpha,    FO_P_offset_beta,     FO_P_current_gain_re, FO_P_current_gain_im,
+    FO_P_voltage_gain_re, FO_P_voltage_gain_im};
+enum { SUMMED = sizeof summed / sizeof *summed };
+
+static void flux_columns(const fo_model *m, const interval *at, const fo_relation *f,
+                         vec direction, vec i, vec flux, double speed, const rotor *c,
+                         vec column[FO_P])
+{
+    const vec back = conjugate(direction), logged = product(at->conjugate_current, back);
+    const double over = 1.0 / m->current;
+    column[FO_P_offset_alpha] = by_rotor_current(f, times(-1.0, back));
+    column[FO_P_offset_beta] = by_rotor_current(f, times(-1.0, turned(back)));
+    column[FO_P_current_gain_re] = by_rotor_current(f, times(-1.0, logged));
+    column[FO_P_current_gain_im] = by_rotor_current(f, times(-1.0, turned(logged)));
+    column[FO_P_iron_loss] =
+        by_rotor_current(f, times(-speed, turned(product(flux, back))));
+    column[FO_P_L_d] = vec_of(f->map.re, m->one_inductance > 0.0 ? f->map.im : 0.0);
+    column[FO_P_L_q] = vec_of(0.0, f->map.im);
+    column[FO_P_saturation_d] = vec_of(-f->map.re * fabs(i.re) * over, 0.0);
+    column[FO_P_saturation_q] = vec_of(0.0, -f->map.im * fabs(i.im) * over);
+    column[FO_P_psi_f] = vec_of(1.0, 0.0);
+    column[FO_P_fifth] = times(m->flux_base, conjugate(f->sixth));
+    column[FO_P_seventh] = times(m->flux_base, f->sixth);
+    column[FO_P_R_R] = vec_of(c->by_R_R, 0.0);
+    column[FO_P_L_M] = vec_of(c->by_L_M, 0.0);
+}
+
+/* Sums over the rows of a block. */
+typedef struct {
+    vec along, along_by_time, mean, current, current_still, flux, flux_across, phase;
+    double psi_row, residual, measured, noise, square_d, square_q, voltage, size, across_noise,
+        across_psi, rotation, speed, rotor_flux;
+    double column[FO_P], across[FO_P];
+    bool usable;
+} sums;
+
+static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
+{
+    const fo_model *m = w->model;
+    const double n = (double)w->per_block, over = 1.0 / n, h = m->sample_time;
+    fo_block *about = &w->about[b];
+    fo_smooth_block *block = &w->block[b];
+    block->duration = n * h;
+    block->coupling[0] = -h * s->mean.re;
+    block->coupling[1] = -h * s->mean.im;
+    block->row[0] = over * s->along.re;
+    block->row[1] = over * s->along.im;
+    block->row[2] = over * s->along_by_time.re;
+    block->row[3] = over * s->along_by_time.im;
+    block->row[4] = -over * s->psi_row;
+    block->row[5] = 0.0;
+    about->noise = (s->noise * over) * (s->noise * over) * over;
+    about->square_d = s->square_d * over * over;
+    about->square_q = s->square_q * over * over;
+    about->rotation = fabs(s->speed * h) + 1e-9;
+    about->speed = over * s->speed;
+    about->angle = atan2(s->phase.im, s->phase.re);
+    about->current = times(over, s->current);
+    about->current_still = times(over, s->current_still);
+    about->flux = times(over, s->flux);
+    about->voltage = over * s->voltage;
+    about->size = fmax(over * s->size, FO_SHORTEST_SHARE * m->flux_base);
+    about->across_noise = over * s->across_noise;
+    about->residual = over * s->residual;
+    about->across = times(over, s->flux_across);
+    about->across_psi = over * s->across_psi;
+    about->usable = s->usable && !(m->L_M > 0.0 &&
+                                   over * s->rotor_flux < LEAST_ROTOR_FLUX * m->flux_base);
+    double *measured = w->measured + b * (1 + w->columns);
+    measured[0] = over * s->measured;
+    for (size_t j = 0; j < w->columns; j++) {
+        measured[1 + j] = -over * s->column[w->active[j]];
+        w->across[b * w->columns + j] = over * s->across[w->active[j]];
+        w->total[b * w->columns + j] = total[w->active[j]];
+    }
+}
+
+void fo_fit_speed(fo_work *w)
+{
+    const size_t n = w->record.rows;
+    double *turn = w->unwrapped;
+    turn[0] = w->angle[0];
+    for (size_t k = 1; k < n; k++)
+        turn[k] = turn[k - 1] + wrapped(w->angle[k] - w->angle[k - 1]);
+    for (size_t k = 0; k < n; k++) {
+        const size_t low = k > SPEED_ROWS ? k - SPEED_ROWS : 0,
+                     high = k + SPEED_ROWS < n ? k + SPEED_ROWS : n - 1;
+        w->speed[k] =
+            (turn[high] - turn[low]) / ((double)(high - low) * w->model->sample_time);
+    }
+}
+
+void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
+{
+    const fo_model *m = w->model;
+    const double h = m->sample_time, half = 0.5 * (double)(w->per_block - 1);
+    const bool cage = m->L_M > 0.0, one_inductance = m->one_inductance > 0.0;
+    const double noise2 = m->current_noise * m->current_noise;
+    const double lag = p[FO_P_lag] + p[FO_P_delay];
+    rotor c = rotor_at_start(m, p, w->start_rotor_flux);
+    vec flux = vec_of(0.0, 0.0), total[FO_P], volts[FO_P], change[FO_P];
+    double i_d = 0.0;
+    memset(total, 0, sizeof total);
+    memset(volts, 0, sizeof volts);
+    memset(change, 0, sizeof change);
+    sums s;
+    memset(&s, 0, sizeof s);
+    for (size_t k = 0; k < w->record.rows; k++) {
+        const size_t b = k / w->per_block, inside = k % w->per_block;
+        const bool counts = b < w->blocks;
+        const double since = ((double)inside - half) * h;
+        const fo_place place = fo_place_of(w, k);
+        interval at;
+        interval_at(w, p, k, &at);
+        if (inside == 0) {
+            memset(&s, 0, sizeof s);
+            s.usable = true;
+        }
+        flux = plus(flux, at.volt_seconds);
+        const vec correction = interpolate_vector(w->correction, place);
+        const vec lambda = plus(minus(flux, times(h * lag, at.around)), correction);
+        const double speed = w->speed[k];
+        const vec i = minus(at.current, times(speed * p[FO_P_iron_loss], turned(lambda)));
+        double psi = steady_psi(m, p);
+        if (cage) {
+            rotor_step(&c, p, dot(i, direction_of(w->angle[k])));
+            psi = c.flux;
+        }
+        const double reference = psi, offset = interpolate(w->psi, place);
+        psi += offset;
+        if (cage) psi = fmax(psi, FO_SHORTEST_SHARE * m->flux_base);
+        vec direction, i_dq;
+        fo_relation f;
+        const double residual =
+            fo_solve_angle(m, p, psi, i, lambda, &w->angle[k], &direction, &i_dq, &f);
+        volt_second_columns(w, p, &at, volts);
+        if (k > 0)
+            for (int n = 0; n < SUMMED; n++)
+                total[summed[n]] = plus(total[summed[n]], volts[summed[n]]);
+        total[FO_P_lag] = total[FO_P_delay] = times(-h, at.around);
+        flux_columns(m, &at, &f, direction, i_dq, lambda, speed, &c, change);
+        const vec along = product(f.along, direction); /* in stator coordinates */
+        const vec athwart = turned(f.along), beside = turned(along);
+        const double over = 1.0 / f.size, d = dot(f.by_d, f.along), q = dot(f.by_q, f.along),
+                     across_d = dot(f.by_d, athwart), across_q = dot(f.by_q, athwart);
+        if (counts) {
+            for (size_t n = 0; n < w->columns; n++) {
+                const int j = w->active[n];
+                s.column[j] += dot(along, total[j]) - dot(f.along, change[j]);
+                s.across[j] += over * (dot(beside, total[j]) - dot(athwart, change[j]));
+            }
+            s.across[FO_P_delay] += speed * h;
+            s.along = plus(s.along, along);
+            s.along_by_time = plus(s.along_by_time, times(since, along));
+            s.psi_row += f.along.re;
+            s.measured += dot(along, correction) - residual - f.along.re * (psi - reference);
+            s.residual += residual;
+            s.noise += m->current_noise * sqrt(d * d + q * q);
+            s.square_d += noise2 * (one_inductance ? d * d + q * q : d * d) / (1.0 + p[FO_P_L_d]);
+            s.square_q += one_inductance ? 0.0 : noise2 * q * q / (1.0 + p[FO_P_L_q]);
+            s.across_noise += noise2 * (across_d * across_d + across_q * across_q) * over * over;
+            s.across_psi -= over * athwart.re;
+            s.mean = plus(s.mean, at.mean);
+            s.current = plus(s.current, i_dq);
+            s.current_still = plus(s.current_still, at.current);
+            s.flux = plus(s.flux, lambda);
+            s.phase = plus(s.phase, direction);
+            s.voltage += length_of(at.voltage);
+            s.size += f.size + (residual < 0.0 ? residual : 0.0);
+            s.rotor_flux += psi + (residual < 0.0 ? residual : 0.0);
+            s.speed += speed;
+            s.flux_across = plus(s.flux_across, times(over, beside));
+            s.usable = s.usable && w->record.measured[k];
+            if (inside + 1 == w->per_block) finish(w, b, &s, total);
+        }
+        i_d += i_dq.re > 0.0 ? i_dq.re : 0.0;
+        if (rows != NULL) {
+            rows[k].flux = lambda;
+            rows[k].angle = w->angle[k] + speed * h * p[FO_P_delay];
+            rows[k].residual = residual;
+            rows[k].size = f.size;
+        }
+    }
+    fo_fit_speed(w);
+    if (rows != NULL)
+        for (size_t k = 0; k < w->record.rows; k++) rows[k].speed = w->speed[k];
+    if (cage)
+        w->start_rotor_flux = m->rotor_flux_start * m->L_M * i_d / (double)w->record.rows;
+}

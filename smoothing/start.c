@@ -1,0 +1,223 @@
+#include "start.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+enum { S = 4, DRIFT = 2 };
+
+/* Model errors of two rows are independent if the rotor turned by this angle between them: a
+ * twelfth of a turn, half a period of the harmonics 5 and 7 in rotor coordinates [rad]. */
+#define CORRELATION_ANGLE 0.5235987755982988
+/* An angle of the observer anchors the flux with at least this error [rad]; neighbouring angles
+ * share their error: the variance is that of this many rows. */
+#define LEAST_ANCHOR 0.02
+#define ANCHOR_ROWS 30.0
+/* Time constant of the unmodelled inverter loss [s]: about a turn at half speed. */
+#define LOSS_TIME 2e-3
+/* Share of the prior by which the drift changes in a second. */
+#define DRIFT_RATE 0.05
+/* Gain of the speed that predicts the next row's angle. */
+#define SPEED_GAIN 0.1
+
+double fo_model_variance(const fo_model *m, double rotation)
+{
+    const double error = m->model_error * m->flux_base;
+    return error * error * CORRELATION_ANGLE / rotation;
+}
+
+typedef struct {
+    vec correction; /* in the middle of the block */
+    double xx, xy, yy; /* its covariance */
+} direction_state;
+
+typedef struct {
+    const vec *volt_seconds, *current;
+    const double *psi;
+    const vec *anchor; /* correction by the observer's angle */
+    double loss;       /* variance rate of the flux [Wb^2/s] */
+} start_record;
+
+typedef struct {
+    double x[S], p[S][S];
+    double angle, speed;
+    bool seen;
+} filter;
+
+static void filter_predict(filter *f, double step, double loss, double wander)
+{
+    for (int n = 0; n < DRIFT; n++) f->x[n] += step * f->x[n + DRIFT];
+    for (int n = 0; n < DRIFT; n++)
+        for (int k = 0; k < S; k++) f->p[n][k] += step * f->p[n + DRIFT][k];
+    for (int k = 0; k < S; k++)
+        for (int n = 0; n < DRIFT; n++) f->p[k][n] += step * f->p[k][n + DRIFT];
+    for (int n = 0; n < DRIFT; n++) {
+        f->p[n][n] += loss * fabs(step);
+        f->p[n + DRIFT][n + DRIFT] += wander * fabs(step);
+    }
+}
+
+static void filter_update(filter *f, const double row[S], double innovation, double variance)
+{
+    double by_row[S], spread = variance;
+    for (int n = 0; n < S; n++) {
+        by_row[n] = 0.0;
+        for (int k = 0; k < S; k++) by_row[n] += f->p[n][k] * row[k];
+    }
+    for (int n = 0; n < S; n++) spread += row[n] * by_row[n];
+    for (int n = 0; n < S; n++) f->x[n] += by_row[n] / spread * innovation;
+    for (int n = 0; n < S; n++)
+        for (int k = 0; k < S; k++) f->p[n][k] -= by_row[n] * by_row[k] / spread;
+}
+
+static double anchor_variance(const fo_model *m, double std)
+{
+    const double error = (std > LEAST_ANCHOR ? std : LEAST_ANCHOR) * m->flux_base;
+    return error * error * ANCHOR_ROWS;
+}
+
+/* One block in one direction; `sign` is +1 or -1. */
+static void filter_block(const fo_work *w, const double p[FO_P], const start_record *r, size_t b,
+                         int sign, filter *f, double *angle)
+{
+    const fo_model *m = w->model;
+    const size_t n = w->per_block, first = b * n;
+    const double h = m->sample_time, half = 0.5 * (double)(n - 1);
+    double rest = 0.0, row[S] = {0.0, 0.0, 0.0, 0.0}, at_start = f->angle, noise = 0.0;
+    size_t measured = 0, anchored = 0;
+    vec anchor = {0.0, 0.0};
+    for (size_t j = 0; j < n; j++) {
+        const size_t k = first + (sign > 0 ? j : n - 1 - j);
+        const double since = ((double)(k - first) - half) * h;
+        const vec flux = plus(r->volt_seconds[k], vec_of(f->x[0] + since * f->x[2],
+                                                         f->x[1] + since * f->x[3]));
+        vec rotor, i_dq;
+        fo_relation at;
+        double guess = f->angle + f->speed * h * sign;
+        const double old = f->angle;
+        const double residual =
+            fo_solve_angle(m, p, r->psi[k], r->current[k], flux, &guess, &rotor, &i_dq, &at);
+        f->angle = guess;
+        f->speed += SPEED_GAIN * ((f->angle - old) / (h * sign) - f->speed);
+        angle[k] = f->angle;
+        if (w->record.measured[k]) {
+            const vec along = product(at.along, rotor);
+            const double d = dot(at.by_d, at.along), q = dot(at.by_q, at.along);
+            measured++;
+            rest += residual;
+            noise += d * d + q * q;
+            row[0] += along.re;
+            row[1] += along.im;
+            row[2] += along.re * since;
+            row[3] += along.im * since;
+        }
+        if (isfinite(w->record.angle_std[k])) {
+            anchored++;
+            anchor = plus(anchor, minus(r->anchor[k], times(since, vec_of(f->x[2], f->x[3]))));
+        }
+    }
+    if (measured == n && f->seen) {
+        const double over = 1.0 / (double)n;
+        for (int a = 0; a < S; a++) row[a] *= over;
+        noise *= m->current_noise * m->current_noise * over * over;
+        filter_update(f, row, -rest * over,
+                      noise + fo_model_variance(m, fabs(f->angle - at_start) + 1e-9));
+    }
+    if (2 * anchored > n) {
+        const size_t middle = first + n / 2, edge = sign > 0 ? first + n - 1 : first;
+        anchor = times(1.0 / (double)anchored, anchor);
+        if (!f->seen) {
+            f->seen = true;
+            f->x[0] = anchor.re;
+            f->x[1] = anchor.im;
+            f->angle = w->record.angle[edge];
+        }
+        if (isfinite(w->record.angle_std[middle])) {
+            const double variance = anchor_variance(m, w->record.angle_std[middle]);
+            const double alpha[S] = {1.0, 0.0, 0.0, 0.0}, beta[S] = {0.0, 1.0, 0.0, 0.0};
+            filter_update(f, alpha, anchor.re - f->x[0], variance);
+            filter_update(f, beta, anchor.im - f->x[1], variance);
+        }
+    }
+}
+
+static void run(const fo_work *w, const double p[FO_P], const start_record *r, int sign,
+                direction_state *state, double *angle)
+{
+    const fo_model *m = w->model;
+    const double wander = DRIFT_RATE * m->drift_std;
+    filter f;
+    memset(&f, 0, sizeof f);
+    f.p[0][0] = f.p[1][1] = 4.0 * m->flux_base * m->flux_base;
+    f.p[2][2] = f.p[3][3] = m->drift_std * m->drift_std;
+    for (size_t n = 0; n < w->blocks; n++) {
+        const size_t b = sign > 0 ? n : w->blocks - 1 - n;
+        if (n > 0)
+            filter_predict(&f, sign * (double)w->per_block * m->sample_time, r->loss,
+                           wander * wander);
+        filter_block(w, p, r, b, sign, &f, angle);
+        const direction_state done = {vec_of(f.x[0], f.x[1]), f.p[0][0], f.p[0][1], f.p[1][1]};
+        state[b] = done;
+    }
+}
+
+/* Mean of both directions, weighted by their information. */
+static vec joined(const direction_state *a, const direction_state *b)
+{
+    const double da = 1.0 / (a->xx * a->yy - a->xy * a->xy),
+                 db = 1.0 / (b->xx * b->yy - b->xy * b->xy);
+    const double axx = a->yy * da, axy = -a->xy * da, ayy = a->xx * da;
+    const double bxx = b->yy * db, bxy = -b->xy * db, byy = b->xx * db;
+    const double xx = axx + bxx, xy = axy + bxy, yy = ayy + byy, d = 1.0 / (xx * yy - xy * xy);
+    const double re = axx * a->correction.re + axy * a->correction.im + bxx * b->correction.re +
+                      bxy * b->correction.im;
+    const double im = axy * a->correction.re + ayy * a->correction.im + bxy * b->correction.re +
+                      byy * b->correction.im;
+    return vec_of(d * (yy * re - xy * im), d * (xx * im - xy * re));
+}
+
+static void anchors(const fo_work *w, const double p[FO_P], const start_record *r, vec *anchor)
+{
+    for (size_t k = 0; k < w->record.rows; k++) {
+        if (!isfinite(w->record.angle_std[k])) continue;
+        const vec rotor = direction_of(w->record.angle[k]);
+        fo_relation at;
+        fo_relate(w->model, p, r->psi[k], product(r->current[k], conjugate(rotor)), rotor, &at);
+        anchor[k] = minus(product(at.flux, rotor), r->volt_seconds[k]);
+    }
+}
+
+bool fo_start(fo_work *w, const double p[FO_P])
+{
+    const fo_model *m = w->model;
+    const size_t n = w->record.rows;
+    vec *room = malloc(3 * n * sizeof *room);
+    double *numbers = malloc(3 * n * sizeof *numbers);
+    direction_state *states = malloc(2 * w->blocks * sizeof *states);
+    const bool good = room != NULL && numbers != NULL && states != NULL;
+    if (good) {
+        double *forwards = numbers + n, *backwards = numbers + 2 * n;
+        const double soft = 2.0 * fabs(p[FO_P_inverter_soft]),
+                     least = 0.1 * m->std[FO_P_inverter_hard],
+                     loss = m->voltage_error * (soft > least ? soft : least),
+                     source = 0.003 * m->voltage;
+        const start_record r = {room, room + n, numbers, room + 2 * n,
+                                (loss * loss + source * source) * LOSS_TIME};
+        fo_integrate(w, p, room, room + n, numbers);
+        anchors(w, p, &r, room + 2 * n);
+        run(w, p, &r, 1, states, forwards);
+        run(w, p, &r, -1, states + w->blocks, backwards);
+        for (size_t b = 0; b < w->blocks; b++) {
+            const direction_state *f = &states[b], *g = &states[w->blocks + b];
+            w->correction[b] = joined(f, g);
+            const double *known = f->xx + f->yy < g->xx + g->yy ? forwards : backwards;
+            memcpy(w->angle + b * w->per_block, known + b * w->per_block,
+                   w->per_block * sizeof *known);
+        }
+        for (size_t k = w->blocks * w->per_block; k < n; k++) w->angle[k] = w->angle[k - 1];
+        fo_fit_speed(w);
+    }
+    free(room);
+    free(numbers);
+    free(states);
+    return good;
+}
