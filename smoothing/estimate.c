@@ -48,6 +48,7 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     w->about = calloc(blocks, sizeof *w->about);
     w->measured = malloc(blocks * sides * sizeof *w->measured);
     w->across = malloc((blocks * w->columns + 1) * sizeof *w->across);
+    w->noise = malloc(blocks * sizeof *w->noise);
     w->total = malloc((blocks * w->columns + 1) * sizeof *w->total);
     s->room.state = malloc(blocks * N * sides * sizeof(double));
     s->room.covariance = malloc(blocks * N * N * sizeof(double));
@@ -56,7 +57,7 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     s->room.gain = malloc(blocks * N * sizeof(double));
     s->room.work = malloc(2 * N * sides * sizeof(double));
     return w->angle && w->speed && w->unwrapped && w->correction && w->psi && w->block &&
-           w->about && w->measured && w->across && w->total && s->room.state &&
+           w->about && w->measured && w->across && w->total && w->noise && s->room.state &&
            s->room.covariance && s->room.innovation && s->room.spread && s->room.gain &&
            s->room.work;
 }
@@ -73,6 +74,7 @@ static void release(fo_work *w, fo_smoothed *s)
     free(w->measured);
     free(w->across);
     free(w->total);
+    free(w->noise);
     free(s->room.state);
     free(s->room.covariance);
     free(s->room.innovation);

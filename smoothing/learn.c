@@ -45,7 +45,7 @@ double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block)
 {
     const fo_model *m = w->model;
     const fo_block *b = &w->about[block];
-    const double loss = fabs(p[FO_P_inverter_hard] + p[FO_P_inverter_soft]),
+    const double loss = fo_inverter_loss(m, p),
                  least = LEAST_LOSS * m->std[FO_P_inverter_hard],
                  inverter = m->voltage_error * (loss > least ? loss : least),
                  source = VOLTAGE_SHARE * b->voltage, usual = USUAL_VOLTAGE_SHARE * m->voltage;
@@ -99,6 +99,8 @@ static void smooth_blocks(fo_work *w, const double p[FO_P], const double *covari
                              m->L_M > 0.0 ? m->flux_base * m->flux_base : 0.0, 0.0};
     set_variances(w, p, covariance);
     fo_smooth(w->block, w->blocks, w->measured, s->sides, start, &s->room);
+    for (size_t b = 0; b < w->blocks; b++) w->noise[b] = w->about[b].noise;
+    fo_smooth_noise(w->block, w->blocks, &s->room, w->noise, w->noise);
 }
 
 /* What a step needs to know of the innovations. */
@@ -164,9 +166,10 @@ static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_sm
         product += z * last;
         last = z;
         count++;
-        n->cost += 0.5 * (e[0] * e[0] - w->about[b].noise) * weight;
-        regressor_d += w->about[b].square_d * weight;
-        regressor_q += w->about[b].square_q * weight;
+        const double noise = w->noise[b] * weight;
+        n->cost += 0.5 * (e[0] * e[0] * weight - noise);
+        regressor_d += w->about[b].share_d * noise;
+        regressor_q += w->about[b].share_q * noise;
         for (size_t i = 0; i < P; i++) {
             const double scaled = weight * e[1 + i];
             n->gradient[i] += scaled * e[0];

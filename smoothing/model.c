@@ -48,6 +48,12 @@ double fo_solve_angle(const fo_model *m, const double p[FO_P], double psi, vec c
     }
 }
 
+double fo_inverter_loss(const fo_model *m, const double p[FO_P])
+{
+    const double loss = m->inverter_voltage + p[FO_P_inverter_hard] + p[FO_P_inverter_soft];
+    return loss > 0.0 ? loss : 0.0;
+}
+
 void fo_phase_signs(vec current, double knee, fo_sign *out)
 {
     static const vec axis[3] = {

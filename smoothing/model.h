@@ -19,6 +19,7 @@ extern "C" {
 #define FO_MODEL_FIELDS(NUMBER)                                                                \
     NUMBER(sample_time)     /* [s]                                                          */ \
     NUMBER(resistance)      /* [Ω]                                                          */ \
+    NUMBER(inverter_voltage) /* loss of a phase that the voltages already lack [V]          */ \
     NUMBER(psi)             /* magnet flux [Wb]; 0 without magnets                          */ \
     NUMBER(flux_base)       /* usual flux that turns with the rotor [Wb]                    */ \
     NUMBER(R_R)             /* cage machine: rotor resistance [Ω], else 0                   */ \
@@ -69,6 +70,9 @@ typedef struct {
     double dd, dq, qq;
 } fo_sign;
 void fo_phase_signs(vec current, double knee, fo_sign *out);
+
+/* Inverter's loss of a phase [V], >= 0. */
+double fo_inverter_loss(const fo_model *m, const double p[FO_P]);
 
 /* Length below which the relation does not tell an angle, as a share of the flux. */
 #define FO_SHORTEST_SHARE 0.02

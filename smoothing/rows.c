@@ -91,12 +91,11 @@ static void interval_at(const fo_work *w, const double p[FO_P], size_t row, inte
     fo_phase_signs(at->middle, HARD_KNEE * m->current, &at->hard);
     fo_phase_signs(at->middle, SOFT_KNEE * m->current, &at->soft);
     const vec gain = vec_of(p[FO_P_voltage_gain_re], p[FO_P_voltage_gain_im]);
-    const double loss = p[FO_P_inverter_hard] + p[FO_P_inverter_soft];
     vec v = plus(at->voltage, product(gain, conjugate(at->voltage)));
     v = minus(v, times(m->resistance + p[FO_P_resistance], at->mean));
     v = minus(v, times(p[FO_P_inverter_hard], at->hard.sign));
     v = minus(v, times(p[FO_P_inverter_soft], at->soft.sign));
-    v = plus(v, times(p[FO_P_inverter_curve] * (loss > 0.0 ? loss : 0.0), at->bend));
+    v = plus(v, times(p[FO_P_inverter_curve] * fo_inverter_loss(m, p), at->bend));
     at->volt_seconds = row == 0 ? vec_of(0.0, 0.0) : times(m->sample_time, v);
 }
 
@@ -184,7 +183,7 @@ static void volt_second_columns(const fo_work *w, const double p[FO_P], const in
                                 vec column[FO_P])
 {
     const fo_model *m = w->model;
-    const double h = m->sample_time, loss = p[FO_P_inverter_hard] + p[FO_P_inverter_soft],
+    const double h = m->sample_time, loss = fo_inverter_loss(m, p),
                  least = LEAST_BEND * m->std[FO_P_inverter_hard];
     const vec u = conjugate(at->voltage), i = at->conjugate_current;
     column[FO_P_resistance] = times(-h, at->mean);
@@ -232,7 +231,7 @@ static void flux_columns(const fo_model *m, const interval *at, const fo_relatio
 /* Sums over the rows of a block. */
 typedef struct {
     vec along, along_by_time, mean, current, current_still, flux, flux_across, phase;
-    double psi_row, residual, measured, noise, square_d, square_q, voltage, size, across_noise,
+    double psi_row, residual, measured, noise, squares, square_d, square_q, voltage, size, across_noise,
         across_psi, rotation, speed, rotor_flux;
     double column[FO_P], across[FO_P];
     bool usable;
@@ -254,8 +253,9 @@ static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
     block->row[4] = -over * s->psi_row;
     block->row[5] = 0.0;
     about->noise = (s->noise * over) * (s->noise * over) * over;
-    about->square_d = s->square_d * over * over;
-    about->square_q = s->square_q * over * over;
+    const double noise = fmax(s->squares, 1e-300);
+    about->share_d = s->square_d / noise;
+    about->share_q = s->square_q / noise;
     about->rotation = fabs(s->speed * h) + 1e-9;
     about->speed = over * s->speed;
     about->angle = atan2(s->phase.im, s->phase.re);
@@ -360,8 +360,9 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
             s.measured += dot(along, correction) - residual - f.along.re * (psi - reference);
             s.residual += residual;
             s.noise += m->current_noise * sqrt(d * d + q * q);
-            s.square_d += noise2 * (one_inductance ? d * d + q * q : d * d) / (1.0 + p[FO_P_L_d]);
-            s.square_q += one_inductance ? 0.0 : noise2 * q * q / (1.0 + p[FO_P_L_q]);
+            s.squares += d * d + q * q;
+            s.square_d += (one_inductance ? d * d + q * q : d * d) / (1.0 + p[FO_P_L_d]);
+            s.square_q += one_inductance ? 0.0 : q * q / (1.0 + p[FO_P_L_q]);
             s.across_noise += noise2 * (across_d * across_d + across_q * across_q) * over * over;
             s.across_psi -= over * athwart.re;
             s.mean = plus(s.mean, at.mean);

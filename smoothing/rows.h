@@ -22,7 +22,7 @@ typedef struct {
 /* What a block tells besides its measurement. */
 typedef struct {
     double noise;              /* variance of the measurement from the current's noise [Wb^2] */
-    double square_d, square_q; /* noise in the regressors of L_d and L_q [Wb^2] */
+    double share_d, share_q;   /* of that noise in the regressors of L_d and L_q [1] */
     double rotation;           /* of the rotor within the block [rad] */
     double speed, angle;       /* [rad/s], [rad] */
     vec current;               /* in rotor coordinates [A] */
@@ -58,6 +58,7 @@ typedef struct {
     double *measured;                  /* blocks * (1 + columns) */
     double *across;                    /* blocks * columns: derivatives of the angle [rad] */
     vec *total;                        /* blocks * columns: derivatives of the flux [Wb] */
+    double *noise;                     /* per block: variance of the innovation from the noise */
     double start_rotor_flux;           /* cage: at the first row [Wb] */
 } fo_work;
 

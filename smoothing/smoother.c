@@ -42,13 +42,19 @@ static void transpose(square a)
         }
 }
 
-/* F P F', then the process noise. */
-static void predict_covariance(const fo_smooth_block *b, square p)
+/* F P F'. */
+static void transport_covariance(const fo_smooth_block *b, square p)
 {
     for (int side = 0; side < 2; side++) {
         predict_state(b, &p[0][0], N);
         transpose(p);
     }
+}
+
+/* F P F', then the process noise. */
+static void predict_covariance(const fo_smooth_block *b, square p)
+{
+    transport_covariance(b, p);
     for (int n = 0; n < N; n++) p[n][n] += b->walk[n < PSI ? n / 2 : n - 2];
 }
 
@@ -175,4 +181,29 @@ void fo_smooth(const fo_smooth_block *block, size_t blocks, const double *measur
 {
     forwards(block, blocks, measured, sides, start, room);
     backwards(block, blocks, sides, room);
+}
+
+void fo_smooth_noise(const fo_smooth_block *block, size_t blocks, const fo_smooth_room *room,
+                     const double *noise, double *through)
+{
+    square p = {{0.0}};
+    for (size_t k = 0; k < blocks; k++) {
+        const fo_smooth_block *b = &block[k];
+        const double *gain = room->gain + k * N;
+        const double own = noise[k]; /* `through` may be `noise` */
+        double by_row[N];
+        if (k > 0) transport_covariance(b, p);
+        through[k] = 0.0;
+        if (!measures(b)) continue;
+        for (int n = 0; n < N; n++) {
+            by_row[n] = 0.0;
+            for (int m = 0; m < N; m++) by_row[n] += p[n][m] * b->row[m];
+        }
+        through[k] = own;
+        for (int n = 0; n < N; n++) through[k] += b->row[n] * by_row[n];
+        /* (I - K h') P (I - K h')' + K r K' */
+        for (int n = 0; n < N; n++)
+            for (int m = 0; m < N; m++)
+                p[n][m] += gain[n] * gain[m] * through[k] - gain[n] * by_row[m] - by_row[n] * gain[m];
+    }
 }

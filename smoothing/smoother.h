@@ -48,6 +48,11 @@ typedef struct {
 void fo_smooth(const fo_smooth_block *block, size_t blocks, const double *measured, size_t sides,
                const double start[FO_SMOOTH], const fo_smooth_room *room);
 
+/* Variance of each innovation that comes from white noise of the measurements with these variances,
+ * through the filter with the gains of `room`; 0 without measurement. */
+void fo_smooth_noise(const fo_smooth_block *block, size_t blocks, const fo_smooth_room *room,
+                     const double *noise, double *through);
+
 #ifdef __cplusplus
 }
 #endif

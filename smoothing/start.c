@@ -14,6 +14,9 @@ enum { S = 4, DRIFT = 2 };
 #define ANCHOR_ROWS 30.0
 /* Time constant of the unmodelled inverter loss [s]: about a turn at half speed. */
 #define LOSS_TIME 2e-3
+/* Least inverter loss, as a share of its prior; voltage error of every inverter. */
+#define LEAST_LOSS 0.1
+#define VOLTAGE_SHARE 0.003
 /* Share of the prior by which the drift changes in a second. */
 #define DRIFT_RATE 0.05
 /* Gain of the speed that predicts the next row's angle. */
@@ -196,10 +199,9 @@ bool fo_start(fo_work *w, const double p[FO_P])
     const bool good = room != NULL && numbers != NULL && states != NULL;
     if (good) {
         double *forwards = numbers + n, *backwards = numbers + 2 * n;
-        const double soft = 2.0 * fabs(p[FO_P_inverter_soft]),
-                     least = 0.1 * m->std[FO_P_inverter_hard],
-                     loss = m->voltage_error * (soft > least ? soft : least),
-                     source = 0.003 * m->voltage;
+        const double given = fo_inverter_loss(m, p), least = LEAST_LOSS * m->std[FO_P_inverter_hard],
+                     loss = m->voltage_error * (given > least ? given : least),
+                     source = VOLTAGE_SHARE * m->voltage;
         const start_record r = {room, room + n, numbers, room + 2 * n,
                                 (loss * loss + source * source) * LOSS_TIME};
         fo_integrate(w, p, room, room + n, numbers);

@@ -94,7 +94,7 @@ const settings = (given) => ({
 // Estimate a log and return the columns, for the page and for reports.
 function runOver(log, machine, unknowns, memory, priors, causal, progress) {
   const share = (done, of) => progress(done / of);
-  const passes = $py("estimation.two_passes").Passes.begun(
+  const passes = $py("estimation.passes").Passes.begun(
     log,
     machine,
     unknowns,

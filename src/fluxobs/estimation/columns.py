@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..logs.log import Log
 from ..logs.time.aligned import Aligned
-from ..machines import Machine
+from ..machines import Machine, RotatingMachine
 from ..observers import AdaptiveEstimate, Estimate, ImmersionEstimate, ImmersionObserver
 from ..observers.derived import derived
 from ..observers.for_log import AnyObserver
 from ..observers.outputs import in_files
+from ..smoothing.estimate import SmoothedEstimate
 
 #: A position of the immersed observer is valid only if its standard deviation is below this share
 #: of the position's span: 3°, or 5 % of the gap. The compiled observer has the same limit
@@ -57,6 +58,10 @@ def rows_of(
         innovation = estimates.innovation
         if isinstance(estimates, AdaptiveEstimate):
             more["adapting"] = estimates.adapting.astype(float)
+    elif isinstance(estimates, SmoothedEstimate):
+        columns, valid = _smoothed(machine, batch, estimates)
+        innovation = estimates.innovation
+        more["adapting"] = np.ones(len(valid))
     else:
         assert isinstance(observer, ImmersionObserver)
         columns, valid = _immersed(machine, observer, batch, estimates)
@@ -88,6 +93,23 @@ def _compiled(
         )
     valid = columns.pop("valid")
     columns |= derived(machine, estimates, batch.current)
+    return columns | {"valid": valid}, estimates.valid
+
+
+def _smoothed(
+    machine: Machine, batch: Aligned, estimates: SmoothedEstimate
+) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
+    assert isinstance(machine, RotatingMachine)
+    columns: dict[str, NDArray[Any]] = {"t": batch.t}
+    for output in in_files(SmoothedEstimate):
+        value = getattr(estimates, output.name)
+        columns |= zip(
+            output.columns(machine.ports), value.T if output.vector else [value], strict=True
+        )
+    valid = columns.pop("valid")
+    factor = 1.5 * machine.n_p
+    columns |= derived(machine, estimates, batch.current)
+    columns |= {"torque": factor * estimates.torque, "torque_std": factor * estimates.torque_std}
     return columns | {"valid": valid}, estimates.valid
 
 

@@ -11,6 +11,7 @@ from ..machines import Machine, RotatingMachine, rotating
 from ..observers import AdaptiveObserver, LeastSquaresObserver, SampleCounts
 from ..observers.adaptive import Learnt
 from ..observers.for_log import AnyObserver
+from .budget import Budget
 from .statistics import Statistics
 
 
@@ -40,7 +41,9 @@ class LogRun:
     automatic : bool
         Whether the unknowns were chosen from the log.
     causal : bool
-        Whether the observer learnt while it estimated, instead of from the whole log first.
+        Whether rows were estimated from the rows before them alone, as in a drive.
+    budget : Budget, optional
+        Error budget of the position; None if the run was causal or an immersed observer ran.
     """
 
     log: Log
@@ -55,6 +58,7 @@ class LogRun:
     learnt: Learnt | None
     automatic: bool
     causal: bool
+    budget: Budget | None
 
     @property
     def rotor(self) -> RotatingMachine:

@@ -11,7 +11,7 @@ import polars as pl
 
 from ..core.output import check_out, write_rows
 from ..core.validation import number
-from ..estimation.two_passes import Passes
+from ..estimation.passes import Passes
 from ..logs.for_machine import open_for
 from ..logs.read import Source
 from ..machines import Machine

@@ -1,4 +1,4 @@
-"""The passes over a log: the first pass learns the parameters, the second pass estimates."""
+"""The passes over a log: the observer learns forwards, then every row is estimated."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from ..observers.adaptive import Learnt
 from ..observers.for_log import Prepared, prepare
 from ..observers.unknowns import ALL, AUTO
 from .columns import EstimateRows, rows_of
-from .learning import adaptive_needed, learn, learning_segments
+from .learning import learn
 from .statistics import Statistics
 from .truth import TruthSamples
+from .whole_log import WholeLog
 
 #: Called with the number of finished rows and of all rows; both include the first pass.
 Progress = Callable[[int, int], Any]
@@ -24,7 +25,7 @@ Progress = Callable[[int, int], Any]
 
 @dataclass
 class Passes:
-    """An estimation whose first pass is done.
+    """An estimation whose observer has learnt.
 
     Attributes
     ----------
@@ -34,8 +35,10 @@ class Passes:
     state : Any
         State from which the observer starts.
     learnt : Learnt, optional
+    whole : WholeLog, optional
+        The smoother; None if rows are estimated from the rows before them alone.
     done : int
-        Rows processed in the first pass.
+        Rows processed before the first row is estimated.
     statistics : Statistics
         Statistics of the rows estimated so far.
     """
@@ -48,6 +51,7 @@ class Passes:
     causal: bool
     state: Any = None
     learnt: Learnt | None = None
+    whole: WholeLog | None = None
     done: int = 0
     statistics: Statistics = field(default_factory=lambda: Statistics(0))
 
@@ -62,7 +66,7 @@ class Passes:
         causal: bool,
         progress: Progress | None = None,
     ) -> Self:
-        """Choose the observer, and learn from the whole log if requested.
+        """Choose the observer, and learn from the whole log unless the run is causal.
 
         Parameters
         ----------
@@ -81,45 +85,45 @@ class Passes:
             unknowns = ALL if isinstance(machine, RotatingMachine) else ("drift",)
         run = prepare(log, machine, unknowns, memory, priors)
         passes = cls(run, unknowns, memory, priors, automatic, causal)
-        if isinstance(run.observer, AdaptiveObserver) and (automatic or not causal):
-            passes._learn(run.observer, log, progress)
+        passes.state = run.observer.init()
+        smoothed = not causal and isinstance(machine, RotatingMachine) and run.plain_outputs
         total = len(log)
         passes.statistics = Statistics(total)
-        if log.true is not None and log.layout.fit_truth and passes.run.plain_outputs:
+        if log.true is not None and log.layout.fit_truth and run.plain_outputs:
             passes.statistics.truth = TruthSamples(total, log.true.channel)
-        if passes.state is None or causal:
-            passes.state = passes.run.observer.init()
-        return passes
-
-    def _learn(self, observer: AdaptiveObserver, log: Log, progress: Progress | None) -> None:
-        """Run the first pass; discard the learnt parameters if the log does not need them."""
-        total = sum(end - start for start, end in learning_segments(self.run.log)) + len(log)
 
         def count(rows: int) -> None:
-            self.done += rows
+            passes.done += rows
             if progress is not None:
-                progress(self.done, total)
+                progress(passes.done, passes.done + total)
 
-        self.state, self.learnt = learn(self.run, observer, count)
-        if self.automatic:
-            plain = prepare(log, self.run.machine, ("drift",), self.memory, {})
-            if not adaptive_needed(observer, self.learnt, plain):
-                self.unknowns, self.priors, self.run = ("drift",), {}, plain
-                self.state = self.learnt = None
+        if smoothed:
+            if isinstance(run.observer, AdaptiveObserver):
+                passes.state, passes.learnt = learn(run, run.observer, count)
+            passes.whole = WholeLog(run, passes.state, passes.learnt, priors, count)
+        return passes
 
     def rows(self, progress: Progress | None = None) -> Iterator[EstimateRows]:
         """Yield the estimates, batch by batch."""
-        run, observer = self.run, self.run.observer
-        log_observer: LogObserver[Any, Any] = observer
-        for batch in ahead(run.log.aligned(size=run.batch)):
-            self.state, estimates = log_observer.resume(self.state, batch.voltage, batch.current)
-            columns = rows_of(run.log, run.machine, observer, batch, estimates)
+        for columns in self._forwards() if self.whole is None else self.whole.rows():
             self.statistics.add(columns)
             if progress is not None:
                 progress(self.done + self.statistics.rows, self.done + self.statistics.total)
             yield columns
-        if isinstance(observer, AdaptiveObserver):
+        observer = self.run.observer
+        if self.whole is not None:
+            self.state = self.whole.state
+            self.learnt = self.whole.parameters(self.statistics)
+        elif isinstance(observer, AdaptiveObserver):
             self.learnt = observer.learnt(self.state)
+
+    def _forwards(self) -> Iterator[EstimateRows]:
+        """Yield the estimates of the observer, as in a drive."""
+        run, observer = self.run, self.run.observer
+        log_observer: LogObserver[Any, Any] = observer
+        for batch in ahead(run.log.aligned(size=run.batch)):
+            self.state, estimates = log_observer.resume(self.state, batch.voltage, batch.current)
+            yield rows_of(run.log, run.machine, observer, batch, estimates)
 
     def found(self) -> dict[str, Any]:
         """Return the fields of a :class:`~fluxobs.estimation.run.LogRun`, after the last row."""
@@ -138,4 +142,5 @@ class Passes:
             "learnt": self.learnt,
             "automatic": self.automatic,
             "causal": self.causal,
+            "budget": None if self.whole is None else self.whole.budget,
         }

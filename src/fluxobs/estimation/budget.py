@@ -1,0 +1,116 @@
+"""The error budget of a run: which assumption contributes how much to the position's error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..core.arrays import Array
+from ..smoothing.assumptions import ITEMS
+from ..smoothing.record import SHARES
+
+#: Names of the items: those of ITEMS, then what no assumption explains.
+NAMES: tuple[str, ...] = (*(item.name for item in ITEMS), "smoother", "noise")
+#: Matrix that adds the shares of assumptions to those of items.
+_GROUPS = np.array(
+    [
+        [float(share in item.assumptions) for share in SHARES]
+        for item in ITEMS
+    ]
+    + [[float(share == name) for share in SHARES] for name in ("smoother", "noise")]
+)
+
+
+def item_shares(shares: Array) -> Array:
+    """Return variances by item from those by assumption; (n, len(SHARES)) → (n, len(NAMES)).
+
+    Correlations count for both assumptions by half, so a share can be negative; such a share
+    counts as zero.
+    """
+    return np.maximum(shares @ _GROUPS.T, 0.0)
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """Contribution of an item to the standard deviation of the position.
+
+    Attributes
+    ----------
+    name : str
+    std : float
+        Rms over the valid rows [rad].
+    remedy : str
+        What makes it smaller; empty if nothing can be measured.
+    """
+
+    name: str
+    std: float
+    remedy: str
+
+
+@dataclass
+class Budget:
+    """Error budget of the position, collected over a run.
+
+    Attributes
+    ----------
+    rows : float
+        Number of valid rows.
+    variances : (items,) ndarray
+        Sum over the valid rows of each item's variance [rad^2].
+    t, series : lists of ndarray
+        Times [s] and variances of the items [rad^2], thinned out for the picture.
+    """
+
+    rows: float = 0.0
+    variances: Array = field(default_factory=lambda: np.zeros(len(NAMES)))
+    t: list[Array] = field(default_factory=list)
+    series: list[Array] = field(default_factory=list)
+
+    def add(self, t: Array, shares: Array, valid: Array, stride: int) -> None:
+        """Add blocks: times, variances by assumption, numbers of valid rows."""
+        items = item_shares(shares)
+        self.rows += float(valid.sum())
+        self.variances = self.variances + valid @ items
+        self.t.append(t[::stride])
+        self.series.append(items[::stride])
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the position, rms over the valid rows [rad]; NaN without any."""
+        return float(np.sqrt(self.variances.sum() / self.rows)) if self.rows else float("nan")
+
+    @property
+    def contributions(self) -> list[Contribution]:
+        """Contributions, the largest first."""
+        if not self.rows:
+            return []
+        remedies = {item.name: item.remedy for item in ITEMS}
+        stds = np.sqrt(self.variances / self.rows)
+        listed = [
+            Contribution(name, float(std), remedies.get(name, ""))
+            for name, std in zip(NAMES, stds, strict=True)
+        ]
+        return sorted(listed, key=lambda contribution: -contribution.std)
+
+    @property
+    def advice(self) -> str:
+        """What to measure next, and what it gains; empty without a valid row."""
+        for contribution in self.contributions:
+            if contribution.remedy:
+                rest = np.sqrt(max(self.std**2 - contribution.std**2, 0.0))
+                return (
+                    f"To gain most, {contribution.remedy}: without the error of the "
+                    f"{contribution.name}, the standard deviation of the position would be "
+                    f"{np.degrees(rest):.2g}° instead of {np.degrees(self.std):.2g}°."
+                )
+        return ""
+
+    def columns(self) -> dict[str, Array]:
+        """Return the series: t [s], and the variance of each item [rad^2]."""
+        if not self.t:
+            return {}
+        series = np.concatenate(self.series)
+        names = {name: series[:, n] for n, name in enumerate(NAMES)}
+        return {"t": np.concatenate(self.t)} | names

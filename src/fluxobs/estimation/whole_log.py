@@ -1,0 +1,471 @@
+"""Every row of a log from the record before and behind it.
+
+An observer runs forwards; where it knows the angle, it anchors the smoother. A long log is smoothed
+in windows that overlap; its parameters are learnt from segments spread over the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.arrays import Array
+from ..core.output import ahead
+from ..logs.time.aligned import Aligned, between, joined, less_lost
+from ..machines import InductionMachine, RotatingMachine
+from ..machines.model.inverter import InverterError
+from ..observers import AdaptiveObserver, Estimate, LeastSquaresObserver
+from ..observers.adaptive import Learnt
+from ..observers.for_log import LEAST_NOISE, Prepared, prepare
+from ..smoothing.estimate import SmoothedEstimate, smoothed_estimate
+from ..smoothing.record import (
+    Assumed,
+    RecordSamples,
+    SmoothedRecord,
+    SmoothingModel,
+    smooth_record,
+)
+from .budget import Budget
+from .columns import EstimateRows, rows_of
+from .course import Course, Learning, course_of
+from .statistics import THIN_ROWS, Statistics
+
+#: Rows of a window of a long log, and rows that it shares with each neighbour: at 20 kHz, 13 s and
+#: 1.6 s. What lies farther behind a row tells nothing about it.
+WINDOW_ROWS, OVERLAP_ROWS = 262_144, 32_768
+#: Number of segments of a long log from which parameters are learnt, and their rows.
+SEGMENTS, SEGMENT_ROWS = 8, 65_536
+#: Anchors: if fewer rows than this share are valid, rows with a larger standard deviation anchor
+#: too [rad].
+FEW_ANCHORS, POOR_ANCHOR_STD = 0.05, np.radians(12.0)
+#: Fewest rows that anchor a record.
+LEAST_ANCHORS = 20
+#: Percentile of the speed that counts as usual.
+USUAL = 95
+#: Above this misfit, other starts are tried: a converged record has 0.001 to 0.05.
+SUSPICIOUS_MISFIT = 0.1
+#: A phase current that equals its extreme this often is clipped, within this share.
+CLIPPED_ROWS, CLIPPED_SHARE = 5, 1e-6
+#: Directions of the phases.
+PHASES = np.array([[1.0, 0.0], [-0.5, 3**0.5 / 2], [-0.5, -(3**0.5) / 2]])
+
+
+@dataclass(frozen=True, eq=False)
+class Anchored:
+    """Rows of a log with the estimates of an observer."""
+
+    samples: Aligned
+    angle: Array
+    angle_std: Array
+    valid: NDArray[np.bool_]
+    speed_e: Array
+
+
+def forwards(
+    run: Prepared, state: Any, first: int | None = None, last: int | None = None
+) -> Iterator[tuple[Any, Anchored]]:
+    """Run the observer forwards over rows of a log; yield its state and the rows."""
+    observer: Any = run.observer
+    for batch in ahead(run.log.aligned(first, last, run.batch)):
+        state, estimates = observer.resume(state, batch.voltage, batch.current)
+        yield state, _anchored(batch, estimates)
+
+
+def _anchored(samples: Aligned, estimates: Estimate) -> Anchored:
+    return Anchored(
+        samples, estimates.theta_e, estimates.theta_e_std, estimates.valid, estimates.speed_e
+    )
+
+
+def _joined(pieces: list[Anchored]) -> Anchored:
+    if len(pieces) == 1:
+        return pieces[0]
+    return Anchored(
+        joined([piece.samples for piece in pieces]),
+        np.concatenate([piece.angle for piece in pieces]),
+        np.concatenate([piece.angle_std for piece in pieces]),
+        np.concatenate([piece.valid for piece in pieces]),
+        np.concatenate([piece.speed_e for piece in pieces]),
+    )
+
+
+def _between(piece: Anchored, first: int, last: int) -> Anchored:
+    return Anchored(
+        between(piece.samples, first, last),
+        piece.angle[first:last],
+        piece.angle_std[first:last],
+        piece.valid[first:last],
+        piece.speed_e[first:last],
+    )
+
+
+def _filled(values: Array) -> Array:
+    """Replace rows with a missing component by interpolation."""
+    good = np.isfinite(values).all(axis=1)
+    if good.all():
+        return values
+    rows = np.arange(len(values))
+    if not good.any():
+        return np.zeros(values.shape)
+    columns = [np.interp(rows, rows[good], values[good, n]) for n in range(values.shape[1])]
+    return np.stack(columns, axis=1)
+
+
+def _clipped(current: Array) -> NDArray[np.bool_]:
+    """Return whether a phase current or its neighbour lies at the limit of its sensor."""
+    phases = current @ PHASES.T
+    at_limit = np.zeros(len(current), bool)
+    for sign in (1.0, -1.0):
+        for n in range(3):
+            signed = sign * phases[:, n]
+            most = float(signed.max())
+            here = signed >= most * (1 - CLIPPED_SHARE)
+            if most > 0 and here.sum() >= CLIPPED_ROWS:
+                at_limit |= here
+    padded = np.concatenate([[False], at_limit, [False]])
+    return np.asarray(padded[:-2] | at_limit | padded[2:])
+
+
+def record_samples(
+    rows: Anchored, anchors: NDArray[np.bool_], inverter: InverterError | None
+) -> RecordSamples:
+    """Return the samples for the smoother; `inverter` is subtracted from the voltages."""
+    samples = rows.samples
+    finite = np.isfinite(samples.current).all(axis=1)
+    current = _filled(samples.current)
+    filled = samples._replace(current=current, voltage=_filled(samples.voltage))
+    if inverter is not None:
+        filled = less_lost(filled, inverter, current[:1])
+    at = np.flatnonzero(anchors)
+    turned = np.unwrap(rows.angle[at])
+    return RecordSamples(
+        filled.voltage,
+        current,
+        finite & ~_clipped(current),
+        np.interp(np.arange(len(current)), at, turned),
+        np.where(anchors, rows.angle_std, np.inf),
+    )
+
+
+def anchors_of(rows: Anchored) -> NDArray[np.bool_]:
+    """Return which rows anchor the smoother."""
+    valid = rows.valid & np.isfinite(rows.angle)
+    if valid.sum() < FEW_ANCHORS * len(valid):
+        valid = valid | (rows.angle_std < POOR_ANCHOR_STD)
+    return valid
+
+
+def usual_speed(rows: Anchored, anchors: NDArray[np.bool_], sample_time: float) -> float:
+    """Return the usual electrical speed [rad/s], from the angles of the anchors."""
+    at = np.flatnonzero(anchors)
+    turned = np.interp(np.arange(len(anchors)), at, np.unwrap(rows.angle[at]))
+    return float(np.percentile(np.abs(np.diff(turned)), USUAL)) / sample_time
+
+
+class WholeLog:
+    """The smoother of a log, after the observer's parameters were learnt.
+
+    Parameters
+    ----------
+    run : Prepared
+        The observer that anchors the smoother.
+    state : Any
+        State from which the observer starts.
+    learnt : Learnt, optional
+        Parameters that the adaptive observer learnt.
+    priors : mapping
+        See :func:`~fluxobs.smoothing.assumptions.prior_stds`.
+    count : callable
+        Called with the number of rows that a step has processed.
+    """
+
+    def __init__(
+        self,
+        run: Prepared,
+        state: Any,
+        learnt: Learnt | None,
+        priors: Mapping[str, float],
+        count: Callable[[int], Any],
+    ) -> None:
+        assert isinstance(run.machine, RotatingMachine)
+        self.run, self.state, self.learnt = run, state, learnt
+        self.machine: RotatingMachine = run.machine
+        self.priors, self.count = priors, count
+        self.budget = Budget()
+        self.course: Course | None = None
+        self.model: SmoothingModel | None = None
+        self.misfit = float("nan")
+
+    @property
+    def plain(self) -> LeastSquaresObserver:
+        """The plain observer, alone or inside the adaptive one."""
+        observer: Any = self.run.observer
+        return observer.plain if isinstance(observer, AdaptiveObserver) else observer
+
+    def rows(self) -> Iterator[EstimateRows]:
+        """Yield the estimates of all rows in order, a window at a time."""
+        total = len(self.run.log)
+        if total > WINDOW_ROWS + 2 * OVERLAP_ROWS:
+            self._learn_segments()
+        buffer: list[Anchored] = []
+        held, first = 0, 0  # rows in the buffer; rows of it that belong to the window before
+        for state, piece in forwards(self.run, self.state):
+            self.state = state
+            buffer.append(piece)
+            held += len(piece.valid)
+            while self.course is not None and held >= first + WINDOW_ROWS + OVERLAP_ROWS:
+                rows = _joined(buffer)
+                last = first + WINDOW_ROWS
+                yield self._window(_between(rows, 0, last + OVERLAP_ROWS), first, last)
+                start = max(0, last - OVERLAP_ROWS)
+                buffer = [_between(rows, start, held)]
+                held, first = held - start, last - start
+        rows = _joined(buffer)
+        yield self._window(rows, first, held)
+
+    def _segments(self) -> Iterator[Anchored]:
+        """Yield segments that are spread over a long log, with the angles of the observer."""
+        log, observer = self.run.log, self.run.observer
+        starts = np.linspace(log.first, log.last - SEGMENT_ROWS, SEGMENTS).astype(int)
+        if not log.table.random_access:
+            starts = log.first + SEGMENT_ROWS * np.arange(SEGMENTS)
+        for start in starts:
+            state: Any = self.state
+            if isinstance(observer, AdaptiveObserver):
+                state = observer.restart(state, frozen=True)
+            pieces = [
+                piece
+                for _, piece in forwards(self.run, state, int(start), int(start) + SEGMENT_ROWS)
+            ]
+            yield _joined(pieces)
+
+    def _learn_segments(self) -> None:
+        """Learn the course of the parameters from segments of a long log."""
+        learnings = []
+        for segment in self._segments():
+            self.count(len(segment.valid))
+            anchors = anchors_of(segment)
+            if anchors.sum() < LEAST_ANCHORS:
+                continue
+            model = self._model_for(segment, anchors)
+            record = self._learn(model, segment, anchors)
+            time = float(segment.samples.t[len(segment.valid) // 2])
+            learnings.append(Learning(time, record.assumed, record.misfit))
+        if learnings:
+            assert self.model is not None
+            self.course = course_of(self.model, learnings)
+            self.misfit = self.course.misfit
+        else:
+            self.course = Course.nothing()
+
+    def _model_for(self, rows: Anchored, anchors: NDArray[np.bool_]) -> SmoothingModel:
+        """Return the model of the log; the first record decides the usual speed."""
+        if self.model is None:
+            scales, rated = self.run.scales, self.machine.rated_current or self.run.scales.current
+            noise = max(scales.current_noise, LEAST_NOISE * rated)
+            h = self.run.log.sample_time
+            self.model = SmoothingModel.of(
+                self.machine,
+                scales,
+                h,
+                float(self.plain.flux_base),
+                noise,
+                usual_speed(rows, anchors, h),
+                self.priors,
+            )
+        return self.model
+
+    def _start(self, model: SmoothingModel) -> Assumed:
+        """Return the parameters that the observer learnt."""
+        prior, learnt, machine = model.prior(), self.learnt, self.machine
+        if learnt is None:
+            return prior
+        loss = learnt.inverter_voltage - model.numbers["inverter_voltage"]
+        deviations = prior.deviations | {
+            "resistance": learnt.resistance - machine.R_s,
+            "inverter_hard": loss / 2,
+            "inverter_soft": loss / 2,
+            "offset_alpha": learnt.offset[0],
+            "offset_beta": learnt.offset[1],
+            "L_d": learnt.inductance_error[0],
+            "L_q": learnt.inductance_error[1],
+            "psi_f": learnt.psi_f - model.numbers["psi"],
+        }
+        kept = {
+            name: value if model.stds[name] > 0 else 0.0 for name, value in deviations.items()
+        }
+        return Assumed(kept, prior.covariance, prior.filter_scale)
+
+    def _learn(
+        self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]
+    ) -> SmoothedRecord:
+        """Smooth and learn; if the innovations are suspicious, try other starts."""
+        best: SmoothedRecord | None = None
+        for samples, start, tried in self._starts(model, rows, anchors):
+            record = smooth_record(tried, samples, start, learning=True)
+            if best is None or record.misfit < best.misfit:
+                best = record
+            if best.misfit < SUSPICIOUS_MISFIT and not isinstance(self.machine, InductionMachine):
+                break
+        assert best is not None
+        return best
+
+    def _starts(
+        self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]
+    ) -> Iterator[tuple[RecordSamples, Assumed, SmoothingModel]]:
+        """Yield samples, parameters and model to start from, the most promising first."""
+        inverter = self.machine.inverter if self.run.log.inverter is None else None
+        samples = record_samples(rows, anchors, inverter)
+        start = self._start(model)
+        yield samples, start, model
+        if isinstance(self.machine, InductionMachine):
+            yield samples, start, model.with_numbers(rotor_flux_start=0.0)
+            return
+        yield samples, model.prior(), model
+        if isinstance(self.run.observer, AdaptiveObserver):
+            other = self._plain_angles(rows)
+            anchors = anchors_of(other)
+            if anchors.sum() >= LEAST_ANCHORS:
+                yield record_samples(other, anchors, inverter), model.prior(), model
+
+    def _plain_angles(self, rows: Anchored) -> Anchored:
+        """Return the rows with the angles of the plain observer."""
+        run = prepare(
+            self.run.log, self.machine, ("drift",), None, {}, self.run.scales
+        )
+        samples = rows.samples
+        if run.log.inverter is not None:
+            samples = less_lost(samples, run.log.inverter, samples.current[:1])
+        observer: Any = run.observer
+        return _anchored(rows.samples, observer.run(samples.voltage, samples.current))
+
+    def _window(self, rows: Anchored, first: int, last: int) -> EstimateRows:
+        """Return the estimates of rows first … last - 1 of a window."""
+        anchors = anchors_of(rows)
+        if anchors.sum() < LEAST_ANCHORS:
+            return self._unknown(rows, first, last)
+        model = self._model_for(rows, anchors)
+        if len(rows.valid) < 2 * model.rows_per_block:
+            return self._unknown(rows, first, last)
+        if self.course is None:
+            record = self._learn(model, rows, anchors)
+            self.misfit = record.misfit
+            time = float(rows.samples.t[len(rows.valid) // 2])
+            self.course = course_of(model, [Learning(time, record.assumed, record.misfit)])
+        else:
+            inverter = self.machine.inverter if self.run.log.inverter is None else None
+            middle = float(rows.samples.t[(first + last) // 2])
+            record = smooth_record(
+                model,
+                record_samples(rows, anchors, inverter),
+                self.course.at(middle, model),
+                learning=False,
+            )
+        voltage, std = inverter_loss(model, record.assumed)
+        estimates = smoothed_estimate(record, voltage, std)
+        self._add_budget(model, rows, record, estimates, first, last)
+        return self._columns(rows, estimates, first, last)
+
+    def parameters(self, statistics: Statistics) -> Learnt | None:
+        """Return the learnt parameters, with resistance and magnet flux averaged over the run."""
+        model = self.model
+        if model is None or self.course is None or not len(self.course.times):
+            return self.learnt
+        assumed = self.course.at(float(np.mean(self.course.times)), model)
+        stds = dict(zip(model.active, np.sqrt(np.diag(assumed.covariance)), strict=True))
+        deviations = assumed.deviations
+        loss, loss_std = inverter_loss(model, assumed)
+        valid = statistics.valid > 0
+
+        def pair(*names: str) -> tuple[tuple[float, float], tuple[float, float]]:
+            a, b = names
+            values = (deviations[a], deviations[b])
+            return values, (float(stds.get(a, 0.0)), float(stds.get(b, 0.0)))
+
+        offset, offset_std = pair("offset_alpha", "offset_beta")
+        asymmetry, asymmetry_std = pair("voltage_gain_re", "voltage_gain_im")
+        inductance, inductance_std = pair("L_d", "L_q")
+        psi_f, resistance = model.numbers["psi"], model.numbers["resistance"]
+        magnets = self.machine.magnets
+        return Learnt(
+            psi_f=statistics.mean("psi_f") if valid and magnets else psi_f,
+            psi_f_std=statistics.mean("psi_f_std") if valid and magnets else stds.get("psi_f", 0.0),
+            resistance=statistics.mean("resistance") if valid else resistance,
+            resistance_std=statistics.mean("resistance_std") if valid else stds["resistance"],
+            inverter_voltage=loss,
+            inverter_std=loss_std,
+            offset=offset,
+            offset_std=offset_std,
+            asymmetry=asymmetry,
+            asymmetry_std=asymmetry_std,
+            inductance_error=inductance,
+            inductance_std=inductance_std,
+        )
+
+    def _add_budget(
+        self,
+        model: SmoothingModel,
+        rows: Anchored,
+        record: SmoothedRecord,
+        estimates: SmoothedEstimate,
+        first: int,
+        last: int,
+    ) -> None:
+        m = model.rows_per_block
+        begin, end = -(-first // m), min(last // m, len(record.shares))
+        if end <= begin:
+            return
+        middles = rows.samples.t[begin * m + m // 2 : end * m : m][: end - begin]
+        valid = estimates.valid[begin * m : end * m].reshape(-1, m).sum(axis=1)
+        stride = max(1, len(self.run.log) // (m * THIN_ROWS))
+        self.budget.add(middles, record.shares[begin:end], valid.astype(float), stride)
+
+    def _columns(
+        self, rows: Anchored, estimates: SmoothedEstimate, first: int, last: int
+    ) -> EstimateRows:
+        self.count(last - first)
+        part = SmoothedEstimate(
+            **{name: values[first:last] for name, values in vars(estimates).items()}
+        )
+        samples = between(rows.samples, first, last)
+        return rows_of(self.run.log, self.machine, self.run.observer, samples, part)
+
+    def _unknown(self, rows: Anchored, first: int, last: int) -> EstimateRows:
+        """Return rows of which nothing is known: the rotor never turned."""
+        n = len(rows.valid)
+        zeros, infinite = np.zeros(n), np.full(n, np.inf)
+        plain = self.plain
+        estimates = SmoothedEstimate(
+            flux=np.zeros((n, 2)),
+            flux_std=np.full((n, 2), np.inf),
+            psi_f=np.full(n, float(plain.flux_base)),
+            psi_f_std=infinite,
+            theta_e=np.where(np.isfinite(rows.angle), rows.angle, 0.0),
+            theta_e_std=np.full(n, np.pi / np.sqrt(3)),
+            speed_e=zeros,
+            speed_e_std=infinite,
+            drift=np.zeros((n, 2)),
+            drift_std=infinite,
+            resistance=np.full(n, self.machine.R_s),
+            resistance_std=infinite,
+            inverter_voltage=np.full(n, self.machine.inverter_voltage or 0.0),
+            inverter_voltage_std=infinite,
+            torque=zeros,
+            torque_std=infinite,
+            innovation=zeros,
+            valid=np.zeros(n, bool),
+        )
+        return self._columns(rows, estimates, first, last)
+
+
+def inverter_loss(model: SmoothingModel, assumed: Assumed) -> tuple[float, float]:
+    """Return the inverter's loss of a phase and its standard deviation [V]."""
+    names = ("inverter_hard", "inverter_soft")
+    value = model.numbers["inverter_voltage"] + sum(assumed.deviations[name] for name in names)
+    at = [n for n, name in enumerate(model.active) if name in names]
+    variance = float(assumed.covariance[np.ix_(at, at)].sum()) if at else 0.0
+    return value, float(np.sqrt(max(variance, 0.0)))

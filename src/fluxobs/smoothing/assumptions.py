@@ -1,0 +1,196 @@
+"""What the estimate of a log assumes, each with a prior standard deviation and its reason.
+
+The C code lists the same assumptions in smoothing/assumptions.h. Their posterior is the error
+budget of a row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from .. import _smoother
+from ..logs.scales import Scales
+from ..machines import InductionMachine, RotatingMachine
+from ..observers.adaptive import (
+    ASYMMETRY_STD,
+    OFFSET_SHARE,
+    PSI_SHARE,
+    default_inverter_std,
+    default_resistance_std,
+)
+
+#: Names in the order of the C code.
+NAMES: tuple[str, ...] = tuple(_smoother.assumptions)
+
+
+@dataclass(frozen=True)
+class Item:
+    """An item of the error budget: one or more assumptions with a common remedy.
+
+    Attributes
+    ----------
+    name : str
+        Title in a summary.
+    assumptions : tuple of str
+        Names in the C code.
+    reason : str
+        Where the default standard deviation comes from.
+    remedy : str
+        What to measure or to state so that the item becomes smaller.
+    """
+
+    name: str
+    assumptions: tuple[str, ...]
+    reason: str
+    remedy: str
+
+
+ITEMS = (
+    Item(
+        "resistance",
+        ("resistance",),
+        "R_s_std of the machine file; default half of R_s: copper alone changes by 40 % per 100 K",
+        "measure R_s at operating temperature, and state R_s_std",
+    ),
+    Item(
+        "inverter",
+        ("inverter_hard", "inverter_soft", "inverter_curve"),
+        "inverter_voltage_std of the machine file; default the larger of a quarter of the rated "
+        "resistive drop and 2 % of the DC link",
+        "measure the inverter's voltage over the current at standstill, and state "
+        "inverter_voltage and inverter_voltage_std",
+    ),
+    Item(
+        "lag",
+        ("lag", "delay"),
+        "a quarter of a sample each for voltages and currents: sampling instants and filters "
+        "of usual drives differ by up to half a sample",
+        "find the sampling instants in the drive's timing diagram, and state the lag",
+    ),
+    Item(
+        "current offsets",
+        ("offset_alpha", "offset_beta"),
+        "2 % of the rated current: usual sensors without calibration",
+        "record the currents with the bridge off, and subtract their mean",
+    ),
+    Item(
+        "current gains",
+        ("current_gain_re", "current_gain_im"),
+        "1 %: usual tolerance between the phases of sensors",
+        "calibrate the gains of the current sensors against each other",
+    ),
+    Item(
+        "voltage gains",
+        ("voltage_gain_re", "voltage_gain_im"),
+        "0.5 %: phases of one bridge have nearly the same dead time",
+        "measure the phase voltages at a duty cycle of one half",
+    ),
+    Item(
+        "iron loss",
+        ("iron_loss",),
+        "a current of 3 % of the rated current at the usual voltage: usual no-load loss",
+        "measure the no-load loss at two speeds",
+    ),
+    Item(
+        "L_d",
+        ("L_d", "saturation_d"),
+        "L_d_std (L_s_std, L_sigma_std) of the machine file; default 15 %: data sheets and "
+        "saturation",
+        "identify the inductances with `fluxobs identify`, and state their standard deviations",
+    ),
+    Item(
+        "L_q",
+        ("L_q", "saturation_q"),
+        "L_q_std of the machine file; default 15 %: data sheets and saturation",
+        "identify L_q with `fluxobs identify`, or give a flux map",
+    ),
+    Item(
+        "magnet flux",
+        ("psi_f",),
+        "psi_f_std of the machine file; default a quarter of the flux",
+        "measure the back-EMF at no load, and state psi_f_std",
+    ),
+    Item(
+        "harmonics",
+        ("fifth", "seventh"),
+        "2 % of the magnet flux each: usual back-EMF waveforms",
+        "measure the back-EMF's waveform at no load",
+    ),
+    Item(
+        "rotor",
+        ("R_R", "L_M"),
+        "30 % of R_R, 25 % of L_M: temperature and saturation",
+        "identify R_R and L_M at operating temperature",
+    ),
+)
+
+#: Standard deviation of a lag [samples], see ITEMS.
+LAG_STD = 0.25
+CURRENT_GAIN_STD = ASYMMETRY_STD
+VOLTAGE_GAIN_STD = 0.005
+IRON_LOSS_SHARE = 0.03
+INDUCTANCE_SHARE = 0.15
+HARMONIC_STD = 0.02
+ROTOR_RESISTANCE_SHARE, MAGNETIZING_SHARE = 0.3, 0.25
+#: Standard deviation of the bend of the inverter's loss over the current [1].
+CURVE_STD = 1.0
+#: The same of a magnet flux that was guessed from the log, as a share.
+GUESSED_PSI_SHARE = 0.5
+#: Common scales of all voltages and of all currents [1]: they leave every angle unchanged.
+VOLTAGE_SCALE_STD, CURRENT_SCALE_STD = 0.01, 0.01
+
+
+def prior_stds(
+    machine: RotatingMachine,
+    scales: Scales,
+    flux_base: float,
+    given: Mapping[str, float] | None = None,
+) -> dict[str, float]:
+    """Return the prior standard deviation of each assumption; 0: exact, or not in this machine.
+
+    Parameters
+    ----------
+    machine : RotatingMachine
+    scales : Scales
+        Sizes of the log's signals.
+    flux_base : float
+        Usual flux [Wb].
+    given : mapping, optional
+        Standard deviations that replace the defaults: resistance [Ω], inverter [V], asymmetry [1],
+        psi_f [Wb].
+    """
+    given = given or {}
+    rated = machine.rated_current or scales.current
+    inverter = default_inverter_std(machine, rated, 3**0.5 * scales.voltage)
+    inverter = given.get("inverter", inverter)
+    stds = dict.fromkeys(NAMES, 0.0)
+    stds["resistance"] = given.get("resistance", default_resistance_std(machine))
+    stds["inverter_hard"] = stds["inverter_soft"] = inverter
+    stds["inverter_curve"] = CURVE_STD if inverter > 0 else 0.0
+    stds["lag"] = stds["delay"] = LAG_STD
+    stds["offset_alpha"] = stds["offset_beta"] = OFFSET_SHARE * rated
+    stds["current_gain_re"] = stds["current_gain_im"] = CURRENT_GAIN_STD
+    asymmetry = given.get("asymmetry", VOLTAGE_GAIN_STD)
+    stds["voltage_gain_re"] = stds["voltage_gain_im"] = asymmetry
+    stds["iron_loss"] = IRON_LOSS_SHARE * rated / scales.voltage
+    inductances = machine.inductance_stds(INDUCTANCE_SHARE)
+    L_d, L_q = (
+        inductances[name] / L for name, L in zip(machine.inductances, machine.L_dq, strict=True)
+    )
+    stds["L_d"] = L_d
+    stds["L_q"] = 0.0 if one_inductance(machine) else L_q
+    if isinstance(machine, InductionMachine):
+        stds["R_R"], stds["L_M"] = ROTOR_RESISTANCE_SHARE, MAGNETIZING_SHARE
+    elif machine.magnets:
+        share = PSI_SHARE if machine.magnet_flux else GUESSED_PSI_SHARE
+        psi_f = machine.magnet_flux_std
+        stds["psi_f"] = given.get("psi_f", share * flux_base if psi_f is None else psi_f)
+        stds["fifth"] = stds["seventh"] = HARMONIC_STD
+    return stds
+
+
+def one_inductance(machine: RotatingMachine) -> bool:
+    """Whether L_d stands for both inductances."""
+    L_d, L_q = machine.L_dq
+    return L_d == L_q

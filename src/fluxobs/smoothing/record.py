@@ -1,0 +1,252 @@
+"""Estimate every row of a record in memory, in both directions.
+
+The numbers come from smoothing/estimate.c.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import _smoother
+from ..core.arrays import Array
+from ..logs.scales import Scales
+from ..machines import InductionMachine, RotatingMachine
+from ..machines.model.flux_map import LinearMap
+from .assumptions import NAMES, one_inductance, prior_stds
+
+#: Outputs of a row, in the order of the C code.
+OUTPUTS: tuple[str, ...] = tuple(_smoother.outputs)
+#: Names of the shares of an angle's variance: the assumptions, then the smoother, then the noise of
+#: the current at the row itself.
+SHARES: tuple[str, ...] = (*NAMES, "smoother", "noise")
+
+#: Residual of the relation of a poor drive with all assumptions learnt, as a share of the flux,
+#: over an angle of 30°; the log's own residual scales the result (smoothing/learn.c).
+MODEL_ERROR = 0.003
+#: The part of it that is constant at an operating point and angle: unmodelled harmonics and
+#: saturation. A smaller part makes inductances sure and wrong (benchmarks/whole_log.py).
+CELL_ERROR = 0.001
+#: Share of the inverter's loss that its three parameters do not describe.
+INVERTER_ERROR = 0.05
+#: Change of the magnet flux and of the resistance, as a share in a second: temperature.
+PSI_RATE, RESISTANCE_RATE = 0.01, 0.005
+#: Standard deviation of the drift: share of the rated resistive drop, and of the voltage.
+DRIFT_CURRENT, DRIFT_VOLTAGE = 0.02, 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothingModel:
+    """Model and priors of a log.
+
+    Attributes
+    ----------
+    numbers : dict
+        The fields of fo_model (smoothing/model.h), in SI.
+    stds : dict
+        Prior standard deviation of each assumption.
+    map : dict
+        The fields of fo_map (firmware/fluxobs_map.h).
+    """
+
+    numbers: dict[str, float]
+    stds: dict[str, float]
+    map: dict[str, Any]
+
+    @classmethod
+    def of(
+        cls,
+        machine: RotatingMachine,
+        scales: Scales,
+        sample_time: float,
+        flux_base: float,
+        current_noise: float,
+        speed_e: float,
+        priors: Mapping[str, float],
+    ) -> SmoothingModel:
+        """Return the model of a log.
+
+        Parameters
+        ----------
+        machine : RotatingMachine
+        scales : Scales
+        sample_time : float
+            [s].
+        flux_base : float
+            Usual flux [Wb].
+        current_noise : float
+            Standard deviation of a component [A].
+        speed_e : float
+            Usual electrical speed [rad/s].
+        priors : mapping
+            See :func:`~fluxobs.smoothing.assumptions.prior_stds`.
+        """
+        rated = machine.rated_current or scales.current
+        cage = isinstance(machine, InductionMachine)
+        psi = (machine.magnet_flux or flux_base) if machine.magnets else 0.0
+        numbers = {
+            "sample_time": sample_time,
+            "resistance": machine.R_s,
+            "inverter_voltage": machine.inverter_voltage or 0.0,
+            "psi": psi,
+            "flux_base": flux_base,
+            "R_R": machine.R_R if isinstance(machine, InductionMachine) else 0.0,
+            "L_M": machine.L_M if isinstance(machine, InductionMachine) else 0.0,
+            "current": rated,
+            "voltage": scales.voltage,
+            "current_noise": current_noise,
+            "speed": speed_e,
+            "drift_std": max(
+                DRIFT_CURRENT * rated * machine.R_s, DRIFT_VOLTAGE * scales.voltage
+            ),
+            "one_inductance": float(one_inductance(machine)),
+            "model_error": MODEL_ERROR,
+            "cell_error": CELL_ERROR,
+            "voltage_error": INVERTER_ERROR,
+            "psi_rate": PSI_RATE,
+            "resistance_rate": RESISTANCE_RATE,
+            "rotor_flux_start": 1.0,
+        }
+        flux_map = machine.map_for(sample_time, flux_base)
+        if flux_map is None or (machine.saturation is None and not cage):
+            flux_map = LinearMap(psi, *machine.L_dq)
+        return cls(numbers, prior_stds(machine, scales, flux_base, priors), flux_map.core())
+
+    def with_numbers(self, **numbers: float) -> SmoothingModel:
+        """Return the model with some numbers replaced."""
+        return replace(self, numbers=self.numbers | numbers)
+
+    @property
+    def active(self) -> list[str]:
+        """Names of the assumptions that are not exact."""
+        return [name for name in NAMES if self.stds[name] > 0]
+
+    @property
+    def rows_per_block(self) -> int:
+        """Rows of a block."""
+        return int(_smoother.rows_per_block(self.numbers["sample_time"], self.numbers["speed"]))
+
+    def prior(self) -> Assumed:
+        """Return the assumptions before the log is seen."""
+        stds = np.array([self.stds[name] for name in self.active])
+        return Assumed(dict.fromkeys(NAMES, 0.0), np.diag(stds**2), 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Assumed:
+    """Deviations of the assumptions from the given values, and their covariance.
+
+    Attributes
+    ----------
+    deviations : dict
+        Name → deviation.
+    covariance : (n, n) ndarray
+        Covariance of the active assumptions.
+    filter_scale : float
+        Factor on the smoother's covariance, from the innovations.
+    """
+
+    deviations: dict[str, float]
+    covariance: Array
+    filter_scale: float
+
+    def array(self) -> Array:
+        """Return the deviations in the order of the C code."""
+        return np.array([self.deviations[name] for name in NAMES])
+
+
+@dataclass(frozen=True, eq=False)
+class RecordSamples:
+    """Samples of a record with the angles of an observer.
+
+    Attributes
+    ----------
+    voltage : (rows, 2) ndarray
+        Mean over the interval that ends at the row [V], finite.
+    current : (rows, 2) ndarray
+        [A], finite.
+    measured : (rows,) ndarray of bool
+        Whether the current is a measurement, not interpolated or clipped.
+    angle, angle_std : (rows,) ndarray
+        Angle of the observer [rad] and its standard deviation; inf where it is not known.
+    """
+
+    voltage: Array
+    current: Array
+    measured: NDArray[np.bool_]
+    angle: Array
+    angle_std: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedRecord:
+    """Estimates of all rows of a record.
+
+    Attributes
+    ----------
+    assumed : Assumed
+        What was learnt, or what was given.
+    misfit : float
+        Mean square of the normalised innovations: above 0.3 the estimate did not converge, or the
+        model is wrong.
+    outputs : dict
+        Name → (rows,) array, see smoothing/estimate.h.
+    known : (rows,) ndarray of bool
+        Whether a row is measured, and fits the model.
+    shares : (blocks, len(SHARES)) ndarray
+        Shares of the angle's variance in each block [rad^2].
+    """
+
+    assumed: Assumed
+    misfit: float
+    outputs: dict[str, Array]
+    known: NDArray[np.bool_]
+    shares: Array
+
+
+def smooth_record(
+    model: SmoothingModel, samples: RecordSamples, start: Assumed, *, learning: bool
+) -> SmoothedRecord:
+    """Estimate all rows.
+
+    Parameters
+    ----------
+    model : SmoothingModel
+    samples : RecordSamples
+        At least two blocks of rows.
+    start : Assumed
+        Where learning starts; without learning, what is assumed.
+    learning : bool
+    """
+    numbers = np.array([model.numbers[name] for name in _smoother.model_fields], float)
+    stds = np.array([model.stds[name] for name in NAMES], float)
+    flux_map = np.array([model.map[name] for name in _smoother.map_fields], float)
+    table = np.ascontiguousarray(model.map["coefficients"], float)
+    deviations, covariance, about, columns, known, shares = _smoother.estimate(
+        numbers,
+        stds,
+        int(model.map["kind"]),
+        flux_map,
+        table,
+        np.ascontiguousarray(samples.voltage, float),
+        np.ascontiguousarray(samples.current, float),
+        np.ascontiguousarray(samples.measured, np.uint8),
+        np.ascontiguousarray(samples.angle, float),
+        np.ascontiguousarray(samples.angle_std, float),
+        start.array(),
+        np.ascontiguousarray(start.covariance, float),
+        start.filter_scale,
+        learning,
+        True,
+    )
+    learnt = Assumed(
+        {name: float(value) for name, value in zip(NAMES, deviations, strict=True)},
+        np.asarray(covariance),
+        float(about[3]),
+    )
+    outputs = {name: columns[n] for n, name in enumerate(OUTPUTS)}
+    return SmoothedRecord(learnt, float(about[0]), outputs, known > 0, np.asarray(shares))
