@@ -17,7 +17,7 @@ typedef struct {
 
 static int32_t whole(double x) { return (int32_t)floor(clamp(x, -1e6, 1e6) + 0.5); }
 
-static key key_of(const fo_model *m, const fo_block *b, double usual_speed)
+static key key_of(const fo_model *m, const fo_block_facts *b, double usual_speed)
 {
     const double step = 1.0 / (CURRENT_STEP * m->current);
     const key k = {(int32_t)floor((b->angle / TURN + 0.5) * SECTORS),

@@ -87,7 +87,7 @@ static void release(fo_work *w, fo_smoothed *s)
 static void angle_columns(const fo_work *w, const fo_smoothed *s, size_t b, double *column)
 {
     const double *x = s->room.state + b * N * s->sides;
-    const fo_block *about = &w->about[b];
+    const fo_block_facts *about = &w->about[b];
     for (size_t j = 0; j < w->columns; j++)
         column[j] = w->across[b * w->columns + j] + about->across.re * x[1 + j] +
                     about->across.im * x[s->sides + 1 + j] +
@@ -114,16 +114,16 @@ static void misfits(const fo_work *w, const fo_smoothed *s, spread *all)
     }
 }
 
-static double squares(const fo_work *w, const fo_learnt *l, const double *x)
+static double squares(const fo_work *w, const fo_assumed *l, const double *x)
 {
     return fo_form(l->covariance, (int)w->columns, x, x);
 }
 
-static void spread_of(const fo_work *w, const fo_learnt *l, const fo_smoothed *s, size_t b,
+static void spread_of(const fo_work *w, const fo_assumed *l, const fo_smoothed *s, size_t b,
                       spread *out, double *budget)
 {
     const fo_model *m = w->model;
-    const fo_block *about = &w->about[b];
+    const fo_block_facts *about = &w->about[b];
     const size_t P = w->columns, sides = s->sides;
     const double *x = s->room.state + b * N * sides, *c = s->room.covariance + b * N * N;
     double angle[FO_P], column[FO_P], other[FO_P], scaled[FO_P];
@@ -200,7 +200,7 @@ static void spread_of(const fo_work *w, const fo_learnt *l, const fo_smoothed *s
 
 #define MIX(field) ((1.0 - at.share) * a->field + at.share * z->field)
 
-static void write_rows(const fo_work *w, const fo_learnt *l, const fo_smoothed *s, const fo_row *rows,
+static void write_rows(const fo_work *w, const fo_assumed *l, const fo_smoothed *s, const fo_row *rows,
                        const spread *all, const fo_estimates *out)
 {
     const fo_model *m = w->model;
@@ -259,7 +259,7 @@ static void write_rows(const fo_work *w, const fo_learnt *l, const fo_smoothed *
 
 size_t fo_blocks_of(const fo_model *m, size_t rows) { return rows / fo_rows_per_block(m); }
 
-bool fo_estimate(const fo_model *m, const fo_record *r, bool learning, fo_learnt *learnt,
+bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_assumed *learnt,
                  const fo_estimates *out)
 {
     fo_work w;

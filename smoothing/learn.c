@@ -44,7 +44,7 @@ enum { ITERATIONS = 16, FLUX_FIRST = 3, POLISHING = 2 };
 double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block)
 {
     const fo_model *m = w->model;
-    const fo_block *b = &w->about[block];
+    const fo_block_facts *b = &w->about[block];
     const double loss = fo_inverter_loss(m, p),
                  least = LEAST_LOSS * m->std[FO_P_inverter_hard],
                  inverter = m->voltage_error * (loss > least ? loss : least),
@@ -55,7 +55,7 @@ double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block)
 }
 
 /* Error of the linear relation [Wb^2]: the flux's covariance across the auxiliary flux. */
-static double curvature_variance(const fo_block *about, const fo_smooth_block *block,
+static double curvature_variance(const fo_block_facts *about, const fo_smooth_block *block,
                                  const double *covariance)
 {
     const double *row = block->row, size = fmax(hypot(row[0], row[1]), 1e-9);
@@ -75,7 +75,7 @@ static void set_variances(fo_work *w, const double p[FO_P], const double *covari
                  psi = m->psi_rate * m->flux_base, rotor = ROTOR_FLUX_ERROR * m->flux_base;
     for (size_t b = 0; b < w->blocks; b++) {
         fo_smooth_block *block = &w->block[b];
-        const fo_block *about = &w->about[b];
+        const fo_block_facts *about = &w->about[b];
         const double T = block->duration;
         block->variance = about->noise + fo_model_variance(m, about->rotation);
         if (covariance != NULL)
@@ -301,7 +301,7 @@ static double usual_speed(const fo_work *w)
     return clamp(w->model->speed, 1e-3, limit);
 }
 
-static bool iterate(fo_work *w, fo_learnt *out, fo_smoothed *s, normal *n, accepted *a,
+static bool iterate(fo_work *w, fo_assumed *out, fo_smoothed *s, normal *n, accepted *a,
                     double *factor)
 {
     const size_t blocks = w->blocks, rows = w->record.rows;
@@ -346,7 +346,7 @@ static bool iterate(fo_work *w, fo_learnt *out, fo_smoothed *s, normal *n, accep
 }
 
 /* Coloured innovations: sandwich of the assumptions' covariance. */
-static void colour(const fo_work *w, const normal *n, fo_learnt *out, double *work)
+static void colour(const fo_work *w, const normal *n, fo_assumed *out, double *work)
 {
     const size_t P = w->columns;
     const double r = clamp(n->correlation, 0.0, 0.95);
@@ -372,7 +372,7 @@ static void colour(const fo_work *w, const normal *n, fo_learnt *out, double *wo
     }
 }
 
-bool fo_learn(fo_work *w, bool learning, fo_learnt *out, fo_smoothed *s)
+bool fo_learn(fo_work *w, bool learning, fo_assumed *out, fo_smoothed *s)
 {
     const size_t P = w->columns, blocks = w->blocks, rows = w->record.rows;
     double *small = malloc((4 * P * P + 3 * P + 1) * sizeof *small);

@@ -13,7 +13,7 @@ typedef struct {
     double cost;
     double filter_scale; /* factor on the smoother's covariance: the innovations are coloured */
     int iterations;
-} fo_learnt;
+} fo_assumed;
 
 typedef struct {
     fo_smooth_room room;
@@ -22,7 +22,7 @@ typedef struct {
 
 /* Starts from the reference of `w` and from `learnt->p`. `learning` false: the assumptions and
  * their covariance stay. Returns false: no memory. */
-bool fo_learn(fo_work *w, bool learning, fo_learnt *learnt, fo_smoothed *smoothed);
+bool fo_learn(fo_work *w, bool learning, fo_assumed *learnt, fo_smoothed *smoothed);
 
 /* Variance that the flux gains in a second [Wb^2/s] at a block. */
 double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block);

@@ -241,7 +241,7 @@ static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
 {
     const fo_model *m = w->model;
     const double n = (double)w->per_block, over = 1.0 / n, h = m->sample_time;
-    fo_block *about = &w->about[b];
+    fo_block_facts *about = &w->about[b];
     fo_smooth_block *block = &w->block[b];
     block->duration = n * h;
     block->coupling[0] = -h * s->mean.re;

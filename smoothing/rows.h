@@ -34,7 +34,7 @@ typedef struct {
     bool usable;
     vec across;                /* derivative of the angle by the flux [rad/Wb] */
     double across_psi;         /* and by the magnet flux */
-} fo_block;
+} fo_block_facts;
 
 /* Estimates at a row. */
 typedef struct {
@@ -54,7 +54,7 @@ typedef struct {
     vec *correction;                   /* per block: reference of the flux correction [Wb] */
     double *psi;                       /* per block: reference of the deviation of the flux [Wb] */
     fo_smooth_block *block;
-    fo_block *about;
+    fo_block_facts *about;
     double *measured;                  /* blocks * (1 + columns) */
     double *across;                    /* blocks * columns: derivatives of the angle [rad] */
     vec *total;                        /* blocks * columns: derivatives of the flux [Wb] */

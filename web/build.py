@@ -41,7 +41,7 @@ SUFFIXES = {".py", ".c", ".h", ".js", ".css", ".toml", ".csv"}
 RUNTIME = ("language", "arrays", "library", "core", "text", "npz")
 #: Modules that the page calls; their imports are included.
 ROOTS = (
-    "fluxobs.estimation.two_passes",
+    "fluxobs.estimation.passes",
     "fluxobs.presentation.explanation",
     "fluxobs.estimation.rerun",
     "fluxobs.presentation.plot_data",
@@ -84,6 +84,7 @@ REPLACED = {
     "weakref",
     "fluxobs._core",
     "fluxobs._core_single",
+    "fluxobs._smoother",
     "fluxobs.core.input_files",
     "fluxobs.core.html",
     "fluxobs.core.references",
@@ -129,10 +130,13 @@ def wasm() -> bytes:
     # Run zig in BUILD, so that the key is the same as for an export.
     run = partial(subprocess.run, check=True, cwd=BUILD)
     compiler = [sys.executable, *COMPILER.split()]
-    includes = [f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'binding'}"]
+    includes = [f"-I{ROOT / name}" for name in ("firmware", "binding", "smoothing")]
     objects = []
-    for source in [WEB / "core.c", WEB / "cells.c", *sorted((ROOT / "firmware").glob("*.c"))]:
-        objects.append(f"{source.stem}.o")
+    sources = sorted(WEB.glob("*.c"))
+    for folder in ("firmware", "smoothing"):
+        sources += sorted((ROOT / folder).glob("*.c"))
+    for source in sources:
+        objects.append(f"{source.parent.name}_{source.stem}.o")
         run([*compiler, "-msimd128", *includes, "-c", str(source), "-o", objects[-1]])
     module = BUILD / "core.wasm"
     run([*compiler, *objects, "-o", module.name])

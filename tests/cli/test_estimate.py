@@ -98,7 +98,7 @@ def test_batch_size_and_format_change_nothing(folder, monkeypatch):
         batches.append(run.batch)
         return run
 
-    module = importlib.import_module("fluxobs.estimation.two_passes")
+    module = importlib.import_module("fluxobs.estimation.passes")
     monkeypatch.setattr(module, "prepare", in_small_batches)
     assert estimate(folder, log="log.parquet", out="cut.parquet").returncode == 0
     assert set(batches) == {137}

@@ -234,3 +234,107 @@ $module("fluxobs._core_single", ($m) => {
     throw ValueError("the page computes in double precision only");
   };
 });
+
+// The estimate of a whole log, with the Python interface of binding/smoother.cpp.
+const $smoothingNames = (of) => {
+  const at = $wasm.smoothing_names(of),
+    bytes_ = $octets(at, 1024);
+  return new TextDecoder().decode(bytes_.slice(0, bytes_.indexOf(0)));
+};
+const ASSUMPTIONS = 0,
+  MODEL_FIELDS = 1,
+  MAP_FIELDS = 2,
+  OUTPUTS = 3;
+const $estimateLog = (
+  numbers,
+  std,
+  kind,
+  map,
+  coefficients,
+  voltage,
+  current,
+  measured,
+  angle,
+  angleStd,
+  start,
+  covariance,
+  filterScale,
+  learning,
+) => {
+  const held = [],
+    room = (bytes_) => {
+      const at = $wasm.allocate(Math.max(8, bytes_));
+      if (!at) throw ValueError("the log is too long for the page");
+      held.push(at);
+      return at;
+    },
+    put = (array) => {
+      const values = $as(array, "f").flat()[0],
+        at = room(8 * values.length);
+      $numbers(at, values.length).set(values);
+      return at;
+    };
+  const rows = voltage.shape[0],
+    active = covariance.shape[0],
+    [assumptions, about, outputs, shares] = [0, 1, 2, 3].map((n) => $wasm.smoothing_size(n)),
+    fields = $smoothingNames(MODEL_FIELDS).trim().split(" "),
+    field = (name) => numbers.flat()[0][fields.indexOf(name)],
+    blocks = Math.floor(rows / $wasm.block_rows(field("sample_time"), field("speed")));
+  try {
+    const flags = room(rows),
+      p = put(start),
+      posterior = put(covariance),
+      told = room(8 * about),
+      columns = room(8 * outputs * rows),
+      known = room(rows),
+      budget = room(8 * blocks * shares);
+    $octets(flags, rows).set($as(measured).flat()[0]);
+    $numbers(told, about)[3] = filterScale;
+    const good = $wasm.estimate_log(
+      put(numbers),
+      put(std),
+      kind,
+      put(map),
+      put(coefficients),
+      coefficients.shape[0],
+      coefficients.shape[1],
+      rows,
+      put(voltage),
+      put(current),
+      flags,
+      put(angle),
+      put(angleStd),
+      learning ? 1 : 0,
+      p,
+      posterior,
+      told,
+      columns,
+      known,
+      budget,
+    );
+    if (!good) throw ValueError("the log is too long for the page");
+    const array = (at, ...shape) =>
+      new NdArray($numbers(at, shape.reduce((a, b) => a * b, 1)).slice(), shape, "f");
+    return $tuple([
+      array(p, assumptions),
+      array(posterior, active, active),
+      array(told, about),
+      array(columns, outputs, rows),
+      new NdArray(Float64Array.from($octets(known, rows)), [rows], "i"),
+      array(budget, blocks, shares),
+    ]);
+  } finally {
+    held.forEach((at) => $wasm.release(at));
+  }
+};
+$module("fluxobs._smoother", ($m) => {
+  for (const [name, of] of [
+    ["assumptions", ASSUMPTIONS],
+    ["model_fields", MODEL_FIELDS],
+    ["map_fields", MAP_FIELDS],
+    ["outputs", OUTPUTS],
+  ])
+    Object.defineProperty($m, name, { get: () => $smoothingNames(of) });
+  $m.rows_per_block = (sampleTime, speed) => $wasm.block_rows(sampleTime, speed);
+  $m.estimate = $estimateLog;
+});

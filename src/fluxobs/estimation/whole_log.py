@@ -21,6 +21,7 @@ from ..machines.model.inverter import InverterError
 from ..observers import AdaptiveObserver, Estimate, LeastSquaresObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import LEAST_NOISE, Prepared, prepare
+from ..observers.outputs import outputs
 from ..smoothing.estimate import SmoothedEstimate, smoothed_estimate
 from ..smoothing.record import (
     Assumed,
@@ -428,9 +429,8 @@ class WholeLog:
         self, rows: Anchored, estimates: SmoothedEstimate, first: int, last: int
     ) -> EstimateRows:
         self.count(last - first)
-        part = SmoothedEstimate(
-            **{name: values[first:last] for name, values in vars(estimates).items()}
-        )
+        names = [output.name for output in outputs(SmoothedEstimate)]
+        part = SmoothedEstimate(**{name: getattr(estimates, name)[first:last] for name in names})
         samples = between(rows.samples, first, last)
         return rows_of(self.run.log, self.machine, self.run.observer, samples, part)
 

@@ -21,7 +21,7 @@ from ..observers.adaptive import (
 )
 
 #: Names in the order of the C code.
-NAMES: tuple[str, ...] = tuple(_smoother.assumptions)
+NAMES: tuple[str, ...] = tuple(_smoother.assumptions.split())
 
 
 @dataclass(frozen=True)

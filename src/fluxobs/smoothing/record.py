@@ -20,7 +20,10 @@ from ..machines.model.flux_map import LinearMap
 from .assumptions import NAMES, one_inductance, prior_stds
 
 #: Outputs of a row, in the order of the C code.
-OUTPUTS: tuple[str, ...] = tuple(_smoother.outputs)
+OUTPUTS: tuple[str, ...] = tuple(_smoother.outputs.split())
+#: Fields of fo_model and of fo_map, in the order of the C code.
+MODEL_FIELDS: tuple[str, ...] = tuple(_smoother.model_fields.split())
+MAP_FIELDS: tuple[str, ...] = tuple(_smoother.map_fields.split())
 #: Names of the shares of an angle's variance: the assumptions, then the smoother, then the noise of
 #: the current at the row itself.
 SHARES: tuple[str, ...] = (*NAMES, "smoother", "noise")
@@ -222,9 +225,9 @@ def smooth_record(
         Where learning starts; without learning, what is assumed.
     learning : bool
     """
-    numbers = np.array([model.numbers[name] for name in _smoother.model_fields], float)
+    numbers = np.array([model.numbers[name] for name in MODEL_FIELDS], float)
     stds = np.array([model.stds[name] for name in NAMES], float)
-    flux_map = np.array([model.map[name] for name in _smoother.map_fields], float)
+    flux_map = np.array([model.map[name] for name in MAP_FIELDS], float)
     table = np.ascontiguousarray(model.map["coefficients"], float)
     deviations, covariance, about, columns, known, shares = _smoother.estimate(
         numbers,
@@ -241,7 +244,6 @@ def smooth_record(
         np.ascontiguousarray(start.covariance, float),
         start.filter_scale,
         learning,
-        True,
     )
     learnt = Assumed(
         {name: float(value) for name, value in zip(NAMES, deviations, strict=True)},
