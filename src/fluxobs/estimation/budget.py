@@ -14,10 +14,7 @@ from ..smoothing.record import SHARES
 NAMES: tuple[str, ...] = (*(item.name for item in ITEMS), "smoother", "noise")
 #: Matrix that adds the shares of assumptions to those of items.
 _GROUPS = np.array(
-    [
-        [float(share in item.assumptions) for share in SHARES]
-        for item in ITEMS
-    ]
+    [[float(share in item.assumptions) for share in SHARES] for item in ITEMS]
     + [[float(share == name) for share in SHARES] for name in ("smoother", "noise")]
 )
 
@@ -28,7 +25,7 @@ def item_shares(shares: Array) -> Array:
     Correlations count for both assumptions by half, so a share can be negative; such a share
     counts as zero.
     """
-    return np.maximum(shares @ _GROUPS.T, 0.0)
+    return np.asarray(np.maximum(shares @ _GROUPS.T, 0.0))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The first pass over a recorded log: learn the parameters and decide whether they are needed."""
+"""The first pass over a recorded log: the adaptive observer learns its parameters."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from ..core.output import ahead
 from ..logs.log import Log
-from ..logs.scales import Scales, excerpts
+from ..logs.scales import Scales
 from ..machines import RotatingMachine
-from ..observers import AdaptiveObserver, LeastSquaresObserver
+from ..observers import AdaptiveObserver
 from ..observers.adaptive import Learnt
 from ..observers.compiled import CompiledState
 from ..observers.for_log import Prepared
@@ -21,11 +21,9 @@ from ..observers.for_log import Prepared
 #: standard deviation. At one half, three quarters of the estimate's information come from the
 #: record.
 UNSEEN = 0.5
-#: Number of segments from which to learn in a longer log, and their rows: ten minutes at 20 kHz in
-#: all. More rows do not help, since slow changes of the parameters limit the accuracy.
-SEGMENTS, SEGMENT_ROWS = 12, 1_000_000
-#: A learnt and a given value agree if they differ by at most this many standard deviations.
-AGREES = 3.0
+#: Number of segments from which to learn in a longer log, and their rows: a minute at 20 kHz in
+#: all. More rows do not help, since the smoother refines the parameters.
+SEGMENTS, SEGMENT_ROWS = 12, 131_072
 #: A residual below this share of the flux squared is accepted: measured logs with correct machine
 #: data and settings reach 0.3 to 0.8 % (benchmarks/measured.py).
 RESIDUAL_LIMIT = 0.01
@@ -92,43 +90,6 @@ def learn(
             state, _ = observer.resume(state, batch.voltage, batch.current)
             count_rows(len(batch.t))
     return observer.restart(state, frozen=True), observer.learnt(state)
-
-
-def adaptive_needed(observer: AdaptiveObserver, learnt: Learnt, plain: Prepared) -> bool:
-    """Whether a log needs the adaptive observer.
-
-    Two conditions must hold. First, the log identifies the resistance or the inverter. Second,
-    these values disagree with the given values, or noise does not explain the residual of the plain
-    observer.
-    """
-    resistive = [
-        parameter for parameter in parameters(observer, learnt) if parameter.name != "magnet flux"
-    ]
-    if not any(parameter.told for parameter in resistive):
-        return False
-    agree = all(
-        abs(parameter.value - parameter.assumed) < AGREES * parameter.std for parameter in resistive
-    )
-    return not (agree and _fits(plain))
-
-
-def _fits(plain: Prepared) -> bool:
-    """Whether noise explains the residual of the plain observer in excerpts of the log."""
-    observer, machine = plain.observer, plain.machine
-    assert isinstance(observer, LeastSquaresObserver)
-    assert isinstance(machine, RotatingMachine)
-    squares, rows, lengths = 0.0, 0, []
-    for excerpt in excerpts(plain.log):
-        estimates = observer.run(excerpt.voltage, excerpt.current)
-        if not estimates.valid.any():
-            return False
-        settled = slice(int(np.argmax(estimates.valid)), None)
-        squares += float((estimates.innovation[settled] ** 2).sum())
-        rows += len(estimates.innovation[settled])
-        lengths.append(float(estimates.psi_f[estimates.valid].mean()))
-    flux = float(np.mean(lengths)) if machine.magnets else observer.flux_base
-    residual = np.sqrt(squares / rows) * observer.constraint_noise / flux**2
-    return not doubtful(residual, machine, flux, plain.scales)
 
 
 def doubtful(residual: float, machine: RotatingMachine, flux: float, scales: Scales) -> bool:

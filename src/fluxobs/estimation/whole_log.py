@@ -296,9 +296,7 @@ class WholeLog:
             "L_q": learnt.inductance_error[1],
             "psi_f": learnt.psi_f - model.numbers["psi"],
         }
-        kept = {
-            name: value if model.stds[name] > 0 else 0.0 for name, value in deviations.items()
-        }
+        kept = {name: value if model.stds[name] > 0 else 0.0 for name, value in deviations.items()}
         return Assumed(kept, prior.covariance, prior.filter_scale)
 
     def _learn(
@@ -335,9 +333,7 @@ class WholeLog:
 
     def _plain_angles(self, rows: Anchored) -> Anchored:
         """Return the rows with the angles of the plain observer."""
-        run = prepare(
-            self.run.log, self.machine, ("drift",), None, {}, self.run.scales
-        )
+        run = prepare(self.run.log, self.machine, ("drift",), None, {}, self.run.scales)
         samples = rows.samples
         if run.log.inverter is not None:
             samples = less_lost(samples, run.log.inverter, samples.current[:1])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from ..core.arrays import Array
 from ..machines import InductionMachine, Machine, RotatingMachine
-from .base import Estimate
 from .outputs import Output
 
 
@@ -26,6 +27,16 @@ INDUCTION = (
 )
 
 
+class FluxAndSpeed(Protocol):
+    """An estimate with (rows, 2) flux [Wb] and (rows,) electrical speed [rad/s]."""
+
+    @property
+    def flux(self) -> Array: ...
+
+    @property
+    def speed_e(self) -> Array: ...
+
+
 def derived_outputs(machine: Machine) -> tuple[Output, ...]:
     """Return the outputs that :func:`derived` computes for a machine."""
     if isinstance(machine, InductionMachine):
@@ -33,14 +44,14 @@ def derived_outputs(machine: Machine) -> tuple[Output, ...]:
     return ROTATING if isinstance(machine, RotatingMachine) else ()
 
 
-def derived(machine: Machine, estimate: Estimate, current: Array) -> dict[str, Array]:
+def derived(machine: Machine, estimate: FluxAndSpeed, current: Array) -> dict[str, Array]:
     """Return torque and speeds of the rows.
 
     Parameters
     ----------
     machine : Machine
         The result is empty for a machine that does not turn.
-    estimate : Estimate
+    estimate : an estimate with flux and speed_e
     current : (rows, 2) ndarray
         Measured current [A].
 

@@ -35,6 +35,9 @@ PARAMETERS = {
 }
 
 
+#: Causes that the budget names, and the colours of its layers.
+BUDGET_ITEMS = 5
+LAYERS = (BLUE, ORANGE, "#3a9d6e", "#8e6bbf", "#c9a227", "0.75")
 #: Panels of every run; a run of the adaptive observer adds the panels of PARAMETERS.
 PANELS = ("locus", "position", "error", "speed", "drift")
 
@@ -97,17 +100,21 @@ def _compiled(
     result: LogRun, fit: TruthFit | None, style: str, panels: Sequence[str] | None
 ) -> Figure:
     learnt = _learnt(result)
-    available = (*PANELS, *learnt)
+    budget = () if result.budget is None else ("budget",)
+    available = (*PANELS, *budget, *learnt)
     if panels is not None or style != "screen":
         return _chosen(result, fit, STYLES[style], PANELS if panels is None else panels, available)
-    figure = new_figure(figsize=(11, 10.5 if learnt else 8.5))
-    layout = _layout(learnt)
+    figure = new_figure(figsize=(11, 8.5 + 2 * bool(learnt) + 2 * len(budget)))
+    layout = _layout(learnt, budget)
     axes = figure.subplot_mosaic(layout, height_ratios=[1.2, *[1.0] * (len(layout) - 1)])
     _draw(axes, result, fit)
     axes["error"].set_xlabel("t [s]")
     axes["speed"].sharex(axes["drift"])
     axes["speed"].tick_params(labelbottom=False)
-    axes["drift"].set_xlabel("" if learnt else f"t [s]{GREY_LABEL}")
+    last = budget[-1] if budget else "drift"
+    axes[last].set_xlabel("" if learnt else f"t [s]{GREY_LABEL}")
+    for name in budget:
+        axes[name].sharex(axes["speed"])
     for name in learnt:
         axes[name].set_xlabel(f"t [s]{GREY_LABEL if name == next(iter(learnt)) else ''}")
     figure.suptitle(f"{_title(result)}{_numbers(result, fit)}", fontsize=10)
@@ -133,6 +140,8 @@ def _draw(axes: Mapping[str, Axes], result: LogRun, fit: TruthFit | None) -> Non
                 _speed(panel, scored)
             case "drift":
                 _drift(panel, scored)
+            case "budget":
+                _budget(panel, result)
             case _:
                 _parameter(panel, name, scored, learnt[name])
         _shade_invalid(panel, scored)
@@ -179,13 +188,14 @@ def _learnt(result: LogRun) -> dict[str, float]:
     return {name: value for name, (value, std) in priors.items() if std > 0}
 
 
-def _layout(learnt: dict[str, float]) -> Any:
+def _layout(learnt: dict[str, float], budget: tuple[str, ...]) -> Any:
     """Return a mosaic of six columns, in which one, two or three panels can share a row."""
     mosaic = [
         ["locus"] * 2 + ["position"] * 4,
         ["locus"] * 2 + ["error"] * 4,
         ["speed"] * 6,
         ["drift"] * 6,
+        *([name] * 6 for name in budget),
     ]
     if learnt:
         mosaic.append([name for name in learnt for _ in range(6 // len(learnt))])
@@ -326,6 +336,26 @@ def _drift(axes: Axes, columns: dict[str, Array]) -> None:
         "Drift R δ_i - δ_u, from offsets",
     )
     axes.set_ylabel("[mV]")
+    legend(axes)
+
+
+def _budget(axes: Axes, result: LogRun) -> None:
+    """Stack the contributions to the variance of the position over time, the largest below."""
+    assert result.budget is not None
+    series = result.budget.columns()
+    names = [contribution.name for contribution in result.budget.contributions]
+    shown, rest = names[:BUDGET_ITEMS], names[BUDGET_ITEMS:]
+    axes.set_title("Error budget of the position: variance by cause")
+    axes.set_ylabel("σ² [°²]")
+    if not shown:
+        axes.text(0.5, 0.5, "no valid position", ha="center", transform=axes.transAxes)
+        return
+    factor = float(np.degrees(1.0)) ** 2
+    layers = [factor * series[name] for name in shown]
+    layers.append(factor * np.sum([series[name] for name in rest], axis=0))
+    total = np.sum(layers, axis=0)
+    axes.stackplot(series["t"], *layers, labels=[*shown, "others"], colors=LAYERS, linewidth=0)
+    axes.set_ylim(0, 1.1 * float(np.percentile(total, 95)))
     legend(axes)
 
 

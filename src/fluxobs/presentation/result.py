@@ -75,7 +75,7 @@ class Result(ExplainedRun):
             The styles for a paper are 3.5 or 7.16 inches wide, in 7 point, without a title.
         panels : sequence of str, optional
             A selection of "locus" (flux and position vector), "position" (around the first valid
-            row), "error" (with ±2σ), "speed", "drift"; after learning also "resistance",
+            row), "error" (with ±2σ), "speed", "drift"; "budget" unless causal; also "resistance",
             "inverter_voltage", "psi_f". Default: all panels on the screen, the first five in a
             paper.
 

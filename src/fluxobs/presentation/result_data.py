@@ -28,6 +28,7 @@ def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[s
         "first_valid": None if first_valid is None else first_valid - statistics.start,
         "drift": [means[f"drift_{port}"] for port in result.machine.ports] if means else None,
         "parameters": _parameters(result),
+        "budget": _budget(result),
         "error": None,
         "truth": None,
         "notes": list(log.notes),
@@ -57,6 +58,13 @@ def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[s
             "words": list(truth.words),
         }
     return data
+
+
+def _budget(result: LogRun) -> dict[str, float] | None:
+    """Return the contributions to the standard deviation of the position [rad]."""
+    if result.budget is None:
+        return None
+    return {contribution.name: contribution.std for contribution in result.budget.contributions}
 
 
 def _parameters(result: LogRun) -> dict[str, Any]:

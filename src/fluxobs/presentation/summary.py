@@ -13,6 +13,9 @@ from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
 from ..observers.immersed import UNSEEN_BIAS
 
+#: Contributions that the summary names.
+BUDGET_ITEMS = 3
+
 
 def si(value: float, unit: str) -> str:
     """Format a value with three digits and an SI prefix."""
@@ -45,6 +48,7 @@ def paragraph(result: LogRun, checked: Check | None, truth: TruthFit | None) -> 
         *_flux(result),
         *_parameters(result),
         *_score(result, truth),
+        *_budget(result),
         *([checked.untold] if checked is not None and checked.untold else []),
     ]
     return " ".join(sentences)
@@ -143,7 +147,7 @@ def _parameters(result: LogRun) -> list[str]:
     segments = learning_segments(result.log)
     origin = "from the whole log"
     if len(segments) > 1:
-        origin = f"from {sum(end - start for start, end in segments)} rows, evenly spread"
+        origin = "from segments that are spread over the log"
     if result.causal:
         origin = "by the end"
     sentences = [f"Identified {origin}: {', '.join(identified)}."] if identified else []
@@ -152,13 +156,27 @@ def _parameters(result: LogRun) -> list[str]:
     return sentences
 
 
-def _choice(result: LogRun) -> list[str]:
-    """Name the unknowns if they were chosen from the log."""
-    if not result.automatic:
+def _budget(result: LogRun) -> list[str]:
+    """Name the largest contributions to the standard deviation of the position."""
+    budget = result.budget
+    if budget is None or not budget.rows:
         return []
-    if result.adaptive is not None:
-        return [f"Estimated as well: {', '.join(result.unknowns)} (chosen from the log)."]
-    return ["Estimated as well: drift only; this log does not require more."]
+    largest = [
+        f"{contribution.name} {np.degrees(contribution.std):.2g}°"
+        for contribution in budget.contributions[:BUDGET_ITEMS]
+    ]
+    return [
+        f"Standard deviation of the position: {np.degrees(budget.std):.2g}° rms on valid rows, "
+        f"mostly from {', '.join(largest)}.",
+        budget.advice,
+    ]
+
+
+def _choice(result: LogRun) -> list[str]:
+    """Name the unknowns of a causal run if they were chosen from the machine."""
+    if not result.automatic or result.adaptive is None or result.budget is not None:
+        return []
+    return [f"Estimated as well: {', '.join(result.unknowns)}."]
 
 
 def _score(result: LogRun, truth: TruthFit | None) -> list[str]:

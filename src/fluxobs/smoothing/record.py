@@ -103,9 +103,7 @@ class SmoothingModel:
             "voltage": scales.voltage,
             "current_noise": current_noise,
             "speed": speed_e,
-            "drift_std": max(
-                DRIFT_CURRENT * rated * machine.R_s, DRIFT_VOLTAGE * scales.voltage
-            ),
+            "drift_std": max(DRIFT_CURRENT * rated * machine.R_s, DRIFT_VOLTAGE * scales.voltage),
             "one_inductance": float(one_inductance(machine)),
             "model_error": MODEL_ERROR,
             "cell_error": CELL_ERROR,
