@@ -95,14 +95,14 @@ ITEMS = (
     Item(
         "L_d",
         ("L_d", "saturation_d"),
-        "L_d_std (L_s_std, L_sigma_std) of the machine file; default 15 %: data sheets and "
+        "L_d_std (L_s_std, L_sigma_std) of the machine file; default 10 %: data sheets and "
         "saturation",
         "identify the inductances with `fluxobs identify`, and state their standard deviations",
     ),
     Item(
         "L_q",
         ("L_q", "saturation_q"),
-        "L_q_std of the machine file; default 15 %: data sheets and saturation",
+        "L_q_std of the machine file; default 10 %: data sheets and saturation",
         "identify L_q with `fluxobs identify`, or give a flux map",
     ),
     Item(
@@ -130,7 +130,7 @@ LAG_STD = 0.25
 CURRENT_GAIN_STD = ASYMMETRY_STD
 VOLTAGE_GAIN_STD = 0.005
 IRON_LOSS_SHARE = 0.03
-INDUCTANCE_SHARE = 0.15
+INDUCTANCE_SHARE = 0.1
 HARMONIC_STD = 0.02
 ROTOR_RESISTANCE_SHARE, MAGNETIZING_SHARE = 0.3, 0.25
 #: Standard deviation of the bend of the inverter's loss over the current [1].
