@@ -77,6 +77,25 @@ def rows_of(
     return EstimateRows(columns, valid, error, innovation, more)
 
 
+def joined_rows(parts: list[EstimateRows]) -> EstimateRows:
+    """Join consecutive rows."""
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+    return EstimateRows(
+        {name: np.concatenate([part.columns[name] for part in parts]) for name in first.columns},
+        np.concatenate([part.valid for part in parts]),
+        _joined([part.error for part in parts]),
+        _joined([part.innovation for part in parts]),
+        {name: np.concatenate([part.more[name] for part in parts]) for name in first.more},
+    )
+
+
+def _joined(parts: list[Array | None]) -> Array | None:
+    present = [part for part in parts if part is not None]
+    return np.concatenate(present) if present else None
+
+
 def is_position(log: Log, machine: Machine) -> bool:
     """Whether the truth of a log is a position, not a speed or Hall signals."""
     return log.true is not None and log.true.channel in machine.position_output.truths

@@ -86,7 +86,7 @@ def learn(
     for n, (start, end) in enumerate(learning_segments(run.log)):
         if n > 0:
             state = observer.restart(state)
-        for batch in ahead(run.log.aligned(start, end, run.batch)):
+        for batch in ahead(run.aligned(start, end)):
             state, _ = observer.resume(state, batch.voltage, batch.current)
             count_rows(len(batch.t))
     return observer.restart(state, frozen=True), observer.learnt(state)

@@ -85,23 +85,29 @@ class Passes:
             unknowns = ALL if isinstance(machine, RotatingMachine) else ("drift",)
         run = prepare(log, machine, unknowns, memory, priors)
         passes = cls(run, unknowns, memory, priors, automatic, causal)
-        passes.state = run.observer.init()
-        smoothed = not causal and isinstance(machine, RotatingMachine) and run.plain_outputs
+        passes.start(progress)
+        return passes
+
+    def start(self, progress: Progress | None = None) -> None:
+        """Learn from the whole log unless the run is causal."""
+        run, log = self.run, self.run.log
+        self.state = run.observer.init()
+        rotating = isinstance(run.machine, RotatingMachine)
+        smoothed = not self.causal and rotating and run.plain_outputs
         total = len(log)
-        passes.statistics = Statistics(total)
+        self.statistics = Statistics(total)
         if log.true is not None and log.layout.fit_truth and run.plain_outputs:
-            passes.statistics.truth = TruthSamples(total, log.true.channel)
+            self.statistics.truth = TruthSamples(total, log.true.channel)
 
         def count(rows: int) -> None:
-            passes.done += rows
+            self.done += rows
             if progress is not None:
-                progress(passes.done, passes.done + total)
+                progress(self.done, self.done + total)
 
         if smoothed:
             if isinstance(run.observer, AdaptiveObserver):
-                passes.state, passes.learnt = learn(run, run.observer, count)
-            passes.whole = WholeLog(run, passes.state, passes.learnt, priors, count)
-        return passes
+                self.state, self.learnt = learn(run, run.observer, count)
+            self.whole = WholeLog(run, self.state, self.learnt, self.priors, count)
 
     def rows(self, progress: Progress | None = None) -> Iterator[EstimateRows]:
         """Yield the estimates, batch by batch."""
@@ -121,7 +127,7 @@ class Passes:
         """Yield the estimates of the observer, as in a drive."""
         run, observer = self.run, self.run.observer
         log_observer: LogObserver[Any, Any] = observer
-        for batch in ahead(run.log.aligned(size=run.batch)):
+        for batch in ahead(run.aligned()):
             self.state, estimates = log_observer.resume(self.state, batch.voltage, batch.current)
             yield rows_of(run.log, run.machine, observer, batch, estimates)
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
 
 from ..logs.log import Log
 from ..logs.scales import Scales
 from ..logs.time.aligned import Aligned, joined, less_lost
 from ..machines import Machine
-from ..observers import AdaptiveObserver
 from ..observers.for_log import prepare
-from .columns import EstimateRows, rows_of
+from .columns import EstimateRows, joined_rows
+from .passes import Passes
 
 
 class Again:
@@ -56,13 +56,10 @@ class Again:
         samples = self._aligned(log)
         if run.log.inverter is not None:
             samples = less_lost(samples, run.log.inverter, samples.current[:1])
-        observer: Any = run.observer
-        state = observer.init()
-        if isinstance(observer, AdaptiveObserver):
-            state = observer.resume(state, samples.voltage, samples.current)[0]
-            state = observer.restart(state, frozen=True)
-        estimates = observer.resume(state, samples.voltage, samples.current)[1]
-        return rows_of(run.log, machine, observer, samples, estimates)
+        run = replace(run, samples=samples)
+        passes = Passes(run, unknowns, memory, priors or {}, automatic=False, causal=False)
+        passes.start()
+        return joined_rows(list(passes.rows()))
 
     def _aligned(self, log: Log) -> Aligned:
         """Return all rows with the commanded voltages; cache the rows of the last two lags."""

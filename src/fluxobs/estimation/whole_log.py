@@ -71,7 +71,7 @@ def forwards(
 ) -> Iterator[tuple[Any, Anchored]]:
     """Run the observer forwards over rows of a log; yield its state and the rows."""
     observer: Any = run.observer
-    for batch in ahead(run.log.aligned(first, last, run.batch)):
+    for batch in ahead(run.aligned(first, last)):
         state, estimates = observer.resume(state, batch.voltage, batch.current)
         yield state, _anchored(batch, estimates)
 

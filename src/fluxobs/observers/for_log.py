@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from ..errors import FluxobsError, MachineError, ObserverError, RecordError
 from ..logs.formats import BATCH
 from ..logs.log import Log
 from ..logs.scales import Scales, excerpts, measure_scales
+from ..logs.time.aligned import Aligned, between
 from ..machines import Machine, RotatingMachine
 from ..machines.model.immersion import Immersion, Unknown
 from . import AdaptiveObserver, ImmersionObserver, LeastSquaresObserver
@@ -49,6 +50,8 @@ class Prepared:
     scales : Scales
     batch : int
         Rows processed at once.
+    samples : Aligned, optional
+        All rows of the log, if they are in memory.
     """
 
     log: Log
@@ -56,6 +59,17 @@ class Prepared:
     observer: AnyObserver
     scales: Scales
     batch: int = BATCH
+    samples: Aligned | None = None
+
+    def aligned(self, first: int | None = None, last: int | None = None) -> Iterator[Aligned]:
+        """Yield rows first … last - 1 of the log in batches; by default all rows."""
+        if self.samples is None:
+            yield from self.log.aligned(first, last, self.batch)
+            return
+        begin = 0 if first is None else first - self.log.first
+        end = len(self.samples.t) if last is None else last - self.log.first
+        for start in range(begin, end, self.batch):
+            yield between(self.samples, start, min(start + self.batch, end))
 
     @property
     def plain_outputs(self) -> bool:

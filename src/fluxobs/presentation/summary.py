@@ -106,7 +106,7 @@ def _current_bias(result: LogRun) -> list[str]:
 
 
 def _flux(result: LogRun) -> list[str]:
-    if result.adaptive is not None or result.plain is None:
+    if result.plain is None or (result.adaptive is not None and result.rotor.magnets):
         return []
     return [f"{result.rotor.length_name}: {si(result.statistics.mean('psi_f'), 'Wb')}."]
 
