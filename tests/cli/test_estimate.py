@@ -13,7 +13,7 @@ import pytest
 
 from fluxobs.machines import example_text
 from fluxobs.observers.for_log import prepare
-from support.cli import COLUMNS, fluxobs
+from support.cli import SMOOTHED, fluxobs
 from support.records import SERVO, log_columns, steady
 
 H, ROWS = 1e-4, 4000
@@ -47,13 +47,13 @@ def test_estimate_writes_rows_summary_and_picture(folder):
     done = estimate(folder, "--truth", "theta_mech=angle", "--report", "report.png")
     assert done.returncode == 0, done.stderr
     estimates = pl.read_parquet(folder / "out.parquet")
-    assert estimates.columns == [*COLUMNS, "theta_e_error"]
+    assert estimates.columns == [*SMOOTHED, "theta_e_error"]
     assert estimates.height == ROWS
     assert estimates["valid"][-1000:].all()
     assert estimates["theta_e_error"][-1000:].abs().max() < np.radians(2)
-    assert "valid on 9" in done.stdout
+    assert "valid on 100.0%" in done.stdout
     assert "acts from its row to the next (lag 0)" in done.stdout
-    assert "Magnet flux: 12.5 mWb" in done.stdout
+    assert "magnet flux 12.5 mWb" in done.stdout
     assert "Position error" in done.stdout
     assert "Warning" not in done.stdout
     assert (folder / "report.png").read_bytes().startswith(b"\x89PNG")
@@ -72,7 +72,7 @@ def test_csv_out_and_several_values_after_one_option(folder):
     )
     assert done.returncode == 0, done.stderr
     estimates = pl.read_csv(folder / "out.csv")
-    assert estimates.columns == COLUMNS
+    assert estimates.columns == SMOOTHED
     assert estimates.height == 1001
     assert estimates["t"][0] == pytest.approx(0.1)
     assert estimates["valid"][-100:].all()
@@ -116,7 +116,7 @@ def test_missing_machine_values_come_from_the_log(folder):
     full, bare = (pl.read_parquet(folder / f"{n}.parquet") for n in ("full", "bare"))
     assert bare["valid"][-2000:].all()
     difference = np.angle(np.exp(1j * (full["theta_e"] - bare["theta_e"]).to_numpy()))
-    assert np.abs(difference[-2000:]).max() < np.radians(0.01)
+    assert np.abs(difference[-2000:]).max() < np.radians(0.1)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])

@@ -4,19 +4,8 @@ import polars as pl
 import pytest
 
 from fluxobs.machines import example_text, read_machine
-from support.cli import COLUMNS, fluxobs
+from support.cli import SMOOTHED, fluxobs
 from support.records import PMSM, course, log_columns
-
-FURTHER = [
-    "psi_f_std",
-    "drift_std",
-    "resistance",
-    "resistance_std",
-    "inverter_voltage",
-    "inverter_voltage_std",
-    "theta_e_other",
-    "weight_other",
-]
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +28,7 @@ def test_columns_summary_picture_and_export_command(folder):
     done = estimate(folder, *options, "--report", "report.png")
     assert done.returncode == 0, done.stderr
     estimates = pl.read_parquet(folder / "out.parquet")
-    assert estimates.columns == [*COLUMNS[:-3], *FURTHER, *COLUMNS[-3:]]
+    assert estimates.columns == SMOOTHED
     last = estimates.row(-1, named=True)
     assert last["resistance"] == pytest.approx(1.3 * PMSM.R_s, rel=0.05)
     assert last["inverter_voltage"] == pytest.approx(6.0, rel=0.2)
@@ -52,22 +41,24 @@ def test_columns_summary_picture_and_export_command(folder):
 
 
 def test_the_plain_observer_warns_and_names_the_option(folder):
-    done = estimate(folder, "--unknowns", "drift")
+    done = estimate(folder, "--unknowns", "drift", "--causal")
     assert done.returncode == 0
     assert "Warning: The residual of the machine's relation is larger than noise" in done.stdout
     assert "R_s fits at 1.29 times" in done.stdout
     assert "--unknowns auto" in done.stdout
 
 
-def test_by_default_the_log_decides_the_unknowns(folder):
+def test_by_default_every_unknown_is_learnt(folder):
     done = estimate(folder)
     assert done.returncode == 0
     assert "Warning" not in done.stdout
-    assert "Estimated as well: drift, resistance, inverter, asymmetry" in done.stdout
+    assert "Identified from the whole log: magnet flux" in done.stdout
+    assert "Standard deviation of the position: " in done.stdout
     whole = pl.read_parquet(folder / "out.parquet")
-    assert whole["resistance"].n_unique() == 1  # learnt on the whole log
     assert whole["resistance"][0] == pytest.approx(1.3 * PMSM.R_s, rel=0.02)
+    assert whole["valid"][0]  # known from the rows behind it
     done = estimate(folder, "--causal")
+    assert "Estimated as well: drift, resistance, inverter, asymmetry" in done.stdout
     assert "Identified by the end: magnet flux" in done.stdout
     causal = pl.read_parquet(folder / "out.parquet")
     assert causal["resistance"][0] == PMSM.R_s
@@ -82,7 +73,7 @@ def test_by_default_the_log_decides_the_unknowns(folder):
     ],
 )
 def test_a_short_log_is_reported(folder, to, code, message):
-    done = estimate(folder, "--unknowns", "drift,resistance", "--to", to)
+    done = estimate(folder, "--unknowns", "drift,resistance", "--causal", "--to", to)
     assert done.returncode == code
     assert message in done.stdout
 

@@ -113,7 +113,7 @@ def test_the_firmware_returns_the_estimates_of_a_log(compiled, tmp_path):
     log = LOG
     done = command(
         *("estimate", log, "--machine", "servo-400w", "--out", "e.parquet"),
-        *("--unknowns", "drift"),
+        *("--unknowns", "drift", "--causal"),
         folder=tmp_path,
     )
     assert done.returncode == 0, done.stderr

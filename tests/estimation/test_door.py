@@ -141,7 +141,7 @@ def test_result_shows_writes_and_draws(tmp_path):
     assert pl.read_parquet(tmp_path / "estimates.parquet").equals(result.estimates)
     result.write(tmp_path / "report.svg")
     assert "</svg>" in (tmp_path / "report.svg").read_text()
-    assert len(result.plot().axes) == 5
+    assert len(result.plot().axes) == 9
     with pytest.raises(FluxobsError, match="did you mean 'theta_e'"):
         result["theta"]
     with pytest.raises(FluxobsError, match="must end in"):

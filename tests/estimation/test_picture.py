@@ -214,7 +214,7 @@ def test_gaps_are_marked_but_not_thousands_of_them(axes, gaps, marks):
 
 @pytest.mark.parametrize("learnt", [{}, {"a": 0}, {"a": 0, "b": 0}, {"a": 0, "b": 0, "c": 0}])
 def test_six_columns_of_panels(learnt):
-    mosaic = picture._layout(learnt)
+    mosaic = picture._layout(learnt, ())
     assert {len(row) for row in mosaic} == {6}
     assert [row.count("locus") for row in mosaic[:4]] == [2, 2, 0, 0]
     assert {row.index("position") for row in mosaic[:1]} == {2}

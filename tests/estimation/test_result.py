@@ -11,8 +11,9 @@ import fluxobs
 from fluxobs import FluxobsError, estimate
 from fluxobs.estimation import learning
 from fluxobs.machines import FluxPoints
-from fluxobs.observers import AdaptiveEstimate, Estimate, SampleCounts, in_files
+from fluxobs.observers import Estimate, SampleCounts, in_files
 from fluxobs.observers.derived import derived_outputs
+from fluxobs.smoothing.estimate import SmoothedEstimate
 from support.cli import COLUMNS as PLAIN
 from support.cli import fluxobs as command
 from support.records import PMSM, SERVO, course, driven, log_columns, profile, steady
@@ -27,7 +28,9 @@ UNKNOWNS = ("drift", "resistance", "inverter")
 @pytest.fixture(scope="module")
 def plain():
     columns = COLUMNS | {"angle": SAMPLES.theta}
-    return fluxobs.estimate(columns, SERVO, unknowns="drift", truth={"theta_e": "angle"})
+    return fluxobs.estimate(
+        columns, SERVO, unknowns="drift", causal=True, truth={"theta_e": "angle"}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -44,14 +47,18 @@ def columns_of(estimate):
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
 @pytest.mark.parametrize("name", ["out [1].parquet", "out [1].csv", "out\udce9.parquet"])
 def test_estimates_in_a_file_of_any_name(tmp_path, name):
-    result = fluxobs.estimate(COLUMNS, SERVO, unknowns="drift", out=tmp_path / name)
+    result = fluxobs.estimate(COLUMNS, SERVO, unknowns="drift", causal=True, out=tmp_path / name)
     assert result.estimates.height == ROWS
 
 
 def test_columns_are_the_listed_outputs(plain, adaptive):
     assert plain.estimates.columns == ["t", *columns_of(Estimate), "theta_e_error"]
     assert plain.estimates.columns[:-1] == PLAIN
-    assert adaptive.estimates.columns == ["t", *columns_of(AdaptiveEstimate)]
+    *names, valid = [
+        name for output in in_files(SmoothedEstimate) for name in output.columns(PORTS)
+    ]
+    derived = [output.name for output in derived_outputs(PMSM)]
+    assert adaptive.estimates.columns == ["t", *names, *derived, "torque_std", valid]
     assert plain.estimates.height == ROWS
 
 
@@ -101,7 +108,7 @@ def test_str_is_summary_and_warnings(plain):
         repr(plain) == f"<Result: arrays, surface-pmsm, {plain['valid'].sum()} of 2000 rows valid>"
     )
     swapped = COLUMNS | {"i_beta": -COLUMNS["i_beta"]}
-    wrong = fluxobs.estimate(swapped, SERVO, unknowns="drift")
+    wrong = fluxobs.estimate(swapped, SERVO, unknowns="drift", causal=True)
     assert wrong.warnings
     assert str(wrong).startswith(wrong.summary)
     for text in wrong.warnings:
@@ -174,6 +181,7 @@ def test_estimates_written_to_out_are_the_same(plain, tmp_path):
         COLUMNS | {"angle": SAMPLES.theta},
         SERVO,
         unknowns="drift",
+        causal=True,
         truth={"theta_e": "angle"},
         out=out,
         progress=lambda done, total: progress.append((done, total)),
@@ -189,7 +197,7 @@ def test_estimates_written_to_out_are_the_same(plain, tmp_path):
 
 def test_paths_that_cannot_be_written(plain, tmp_path):
     pl.DataFrame(COLUMNS).write_csv(tmp_path / "log.csv")
-    from_file = fluxobs.estimate(tmp_path / "log.csv", SERVO)
+    from_file = fluxobs.estimate(tmp_path / "log.csv", SERVO, unknowns="drift", causal=True)
     before = (tmp_path / "log.csv").read_bytes()
     for path, words in (
         ("out.xlsx", "must end in"),
@@ -223,7 +231,7 @@ def test_learning_from_segments_of_a_long_log(tmp_path, monkeypatch):
     monkeypatch.setattr(learning, "SEGMENT_ROWS", 4000)
     progress: list[tuple[int, int]] = []
     in_segments = estimate(tmp_path / "log.parquet", PMSM, progress=lambda *n: progress.append(n))
-    assert "Identified from 12000 rows, evenly spread" in in_segments.summary
+    assert "Identified from segments that are spread over the log" in in_segments.summary
     assert progress[-1] == (32_000, 32_000)
     assert in_segments.learnt.resistance == pytest.approx(1.3 * PMSM.R_s, rel=0.02)
     assert 4 * whole.learnt.resistance_std > in_segments.learnt.resistance_std
@@ -241,5 +249,7 @@ def test_a_map_that_is_not_reciprocal_causes_a_warning():
     for turn, warned in ((1.0, False), (np.exp(0.17j), True)):
         flux = FluxPoints(points.current, points.flux * turn)
         rotated = machine.with_values(flux_map=flux, L_d=None, L_q=None, psi_f=None)
-        result = fluxobs.estimate(log, rotated, sample_time=1.25e-4, lag=1.0, unknowns="drift")
+        result = fluxobs.estimate(
+            log, rotated, sample_time=1.25e-4, lag=1.0, unknowns="drift", causal=True
+        )
         assert any("not reciprocal" in line for line in result.warnings) == warned

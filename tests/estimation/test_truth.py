@@ -19,7 +19,9 @@ THETA = np.unwrap(TABLE["theta_e"])
 
 def fitted(channel, columns, **options):
     layout = {"truth": {channel: ",".join(columns)}} | options
-    return fluxobs.estimate(GOOD | columns, MACHINE, unknowns="drift,resistance,inverter", **layout)
+    return fluxobs.estimate(
+        GOOD | columns, MACHINE, unknowns="drift,resistance,inverter", causal=True, **layout
+    )
 
 
 def encoder(zero=0.0, delay=0.0, once=0.0, twice=0.0, direction=1, pairs=N_P):
@@ -205,7 +207,7 @@ def test_sine_and_cosine_without_values():
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_every_second_current_missing():
     current = np.where(np.arange(len(THETA)) % 2, GOOD["i_alpha"], np.nan)
-    result = fluxobs.estimate(GOOD | {"i_alpha": current}, MACHINE, unknowns="drift")
+    result = fluxobs.estimate(GOOD | {"i_alpha": current}, MACHINE, unknowns="drift", causal=True)
     assert any(": 5000 rows have no current" in warning for warning in result.warnings)
     assert not any("nan" in warning for warning in result.warnings)
 

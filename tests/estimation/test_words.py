@@ -10,7 +10,6 @@ import fluxobs
 from fluxobs.estimation import learning
 from fluxobs.estimation.learning import (
     Parameter,
-    adaptive_needed,
     doubtful,
     learning_segments,
     parameters,
@@ -38,7 +37,7 @@ SCALES = Scales(
 
 @pytest.fixture(scope="module")
 def run():
-    return fluxobs.estimate(log_columns(SAMPLES), SERVO, unknowns="drift")
+    return fluxobs.estimate(log_columns(SAMPLES), SERVO, unknowns="drift", causal=True)
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +73,7 @@ def changed(run, counts=None, **statistics):
         for name in ("log", "machine", "observer", "scales", "unknowns", "memory", "priors")
     }
     fields |= {"learnt": None, "automatic": False, "causal": False, "counts": counts}
+    fields["budget"] = run.budget
     return fluxobs.presentation.explanation.ExplainedRun(
         **fields, statistics=replace(run.statistics, **statistics)
     )
@@ -243,12 +243,13 @@ class LongLog:
         return self.last - self.first
 
 
-def test_segments_of_a_log_of_more_than_twelve_million_rows():
-    assert learning_segments(LongLog(12_000_000)) == [(7, 12_000_007)]
+def test_segments_of_a_long_log():
+    most = learning.SEGMENTS * learning.SEGMENT_ROWS
+    assert learning_segments(LongLog(most)) == [(7, 7 + most)]
     assert learning_segments(LongLog(99_000_000, False)) == [(7, 99_000_007)]
-    segments = np.array(learning_segments(LongLog(23_000_000)))
+    segments = np.array(learning_segments(LongLog(learning.SEGMENT_ROWS + 22_000_000)))
     np.testing.assert_array_equal(segments[:, 0], 7 + 2_000_000 * np.arange(12))
-    np.testing.assert_array_equal(segments[:, 1] - segments[:, 0], 1_000_000)
+    np.testing.assert_array_equal(segments[:, 1] - segments[:, 0], learning.SEGMENT_ROWS)
     assert len(learning_segments(LongLog(12_000_001))) == 12
 
 
@@ -271,28 +272,12 @@ def learnt(resistance=(0.0, 0.01), inverter=(0.0, 0.01)):
     )
 
 
-@pytest.mark.parametrize(
-    ("resistance", "inverter", "fits", "expected"),
-    [
-        ((0, 0.01), (0, 0.01), True, False),
-        ((0, 0.01), (0, 0.01), False, True),
-        ((2.99, 0.01), (-2.99, 0.01), True, False),
-        ((3.01, 0.01), (0, 0.01), True, True),
-        ((-3.01, 0.01), (0, 0.01), True, True),
-        ((0, 0.01), (3.01, 0.01), True, True),
-        ((9, 0.51), (9, 0.51), False, False),
-        ((0, 0.49), (0, 0.9), False, True),
-    ],
-)
-def test_when_a_log_needs_the_adaptive_observer(resistance, inverter, fits, expected, monkeypatch):
-    monkeypatch.setattr(learning, "_fits", lambda _: fits)
-    assert adaptive_needed(ADAPTIVE, learnt(resistance, inverter), None) == expected
-
-
 @pytest.mark.parametrize(("std", "listed"), [(0.0, False), (1e-3, True), (0.02, True)])
 def test_an_inductance_is_listed_if_it_was_learnt(std, listed):
     """An inductance assumed to be exact has no standard deviation."""
-    run = fluxobs.estimate(fluxobs.demo_log(), "servo-400w", unknowns="drift,resistance")
+    run = fluxobs.estimate(
+        fluxobs.demo_log(), "servo-400w", unknowns="drift,resistance", causal=True
+    )
     learnt = replace(run.learnt, inductance_error=(0.05, 0.0), inductance_std=(std, std))
     (text,) = _parameters(replace(run, learnt=learnt))
     assert ("L_s 630 µH ± " in text) == listed
@@ -310,13 +295,6 @@ def test_only_unknown_parameters_are_listed():
         "magnet flux",
         "resistance",
     ]
-
-
-def test_whether_noise_explains_the_residual(run, log):
-    """Noise explains the residual of the true machine, not of a machine with three times R_s."""
-    for machine, fits in ((SERVO, True), (SERVO.with_values(R_s=3 * SERVO.R_s), False)):
-        prepared = prepare.prepare(log, machine, ("drift",), None, {})
-        assert learning._fits(prepared) == fits
 
 
 # ---- settings -------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ NOT_TEXT = (
 def expected():
     names = ("t", "u_alpha", "u_beta", "i_alpha", "i_beta")
     columns = {name: SIGNALS[name] for name in names}
-    return fluxobs.estimate(columns, corpus.MACHINE, unknowns="drift")
+    return fluxobs.estimate(columns, corpus.MACHINE, unknowns="drift", causal=True)
 
 
 @pytest.mark.parametrize("name", corpus.LAYOUTS)
@@ -46,7 +46,9 @@ def test_the_first_command_is_right(name, expected):
     options = {"preset": corpus.PRESETS[name]} if name in corpus.PRESETS else {}
     if name == "moteus.npz":  # the stream has no time, and its rate is not the usual 30 kHz
         options["sample_time"] = corpus.SAMPLE_TIME
-    result = fluxobs.estimate(corpus.FOLDER / name, corpus.MACHINE, unknowns="drift", **options)
+    result = fluxobs.estimate(
+        corpus.FOLDER / name, corpus.MACHINE, unknowns="drift", causal=True, **options
+    )
     assert len(result.estimates) == corpus.ROWS
     both = result["valid"] & expected["valid"]
     assert both.sum() >= expected["valid"].sum() - 1

@@ -14,6 +14,12 @@ from unittest import mock
 from fluxobs.cli import main
 
 #: Columns of the plain observer's estimates, in order.
+SMOOTHED = [
+    *("t", "flux_alpha", "flux_beta", "flux_alpha_std", "flux_beta_std", "psi_f", "psi_f_std"),
+    *("theta_e", "theta_e_std", "speed_e", "speed_e_std", "drift_alpha", "drift_beta", "drift_std"),
+    *("resistance", "resistance_std", "inverter_voltage", "inverter_voltage_std"),
+    *("torque", "speed_mech", "torque_std", "valid"),
+]
 COLUMNS = [
     "t",
     "flux_alpha",

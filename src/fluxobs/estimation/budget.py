@@ -58,12 +58,18 @@ class Budget:
         Sum over the valid rows of each item's variance [rad^2].
     t, series : lists of ndarray
         Times [s] and variances of the items [rad^2], thinned out for the picture.
+    misfit : float
+        Mean square of the normalised innovations of the smoother; NaN if it did not run.
+    contradiction : str
+        The assumption that the log contradicts; empty if there is none.
     """
 
     rows: float = 0.0
     variances: Array = field(default_factory=lambda: np.zeros(len(NAMES)))
     t: list[Array] = field(default_factory=list)
     series: list[Array] = field(default_factory=list)
+    misfit: float = float("nan")
+    contradiction: str = ""
 
     def add(self, t: Array, shares: Array, valid: Array, stride: int) -> None:
         """Add blocks: times, variances by assumption, numbers of valid rows."""

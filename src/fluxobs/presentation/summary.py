@@ -106,7 +106,7 @@ def _current_bias(result: LogRun) -> list[str]:
 
 
 def _flux(result: LogRun) -> list[str]:
-    if result.plain is None or (result.adaptive is not None and result.rotor.magnets):
+    if result.plain is None or (result.adaptive is not None and not result.rotor.flux_moves):
         return []
     return [f"{result.rotor.length_name}: {si(result.statistics.mean('psi_f'), 'Wb')}."]
 

@@ -6,9 +6,11 @@ import numpy as np
 
 from ..checking.findings import Check
 from ..estimation.columns import is_position
+from ..estimation.course import CONVERGED_MISFIT
 from ..estimation.learning import doubtful
 from ..estimation.run import LogRun
 from ..estimation.truth import TruthFit
+from ..estimation.whole_log import CONTRADICTION
 from ..machines import RotatingMachine
 from ..machines.model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
@@ -34,7 +36,8 @@ def warnings(result: LogRun, checked: Check | None, fit: TruthFit | None = None)
         return [*_samples(result), *_jumps(result), *_immersed_validity(result), *_bias(result)]
     duration = result.statistics.rows * result.log.sample_time
     memories = MEMORIES if result.adaptive is None else MEMORIES_ADAPTIVE
-    if duration < memories * result.observer.memory:
+    unknown = result.budget is None or not result.statistics.valid
+    if unknown and duration < memories * result.observer.memory:
         return [
             *_samples(result),
             f"The log lasts {si(duration, 's')}, too short to settle: at least {memories} "
@@ -48,13 +51,34 @@ def warnings(result: LogRun, checked: Check | None, fit: TruthFit | None = None)
         *_truth(result),
         *([] if fit is None or fit.lost is None else [f"Channel {fit.channel}: {fit.lost}."]),
         *_rate(result),
+        *_misfit(result),
         *_validity(result),
         *(
             []
-            if result.adaptive is not None or mistakes
+            if result.adaptive is not None or result.budget is not None or mistakes
             else _residual(result, result.plain, checked)
         ),
     ]
+
+
+def _misfit(result: LogRun) -> list[str]:
+    """Warn of a log that does not fit the model within what the budget allows."""
+    budget = result.budget
+    if budget is None:
+        return []
+    if budget.contradiction:
+        return [
+            f"No row is valid: the log fits only if the error of the {budget.contradiction} were "
+            f"more than {CONTRADICTION:g} standard deviations of what is assumed of it. Check "
+            f"this value, the columns with their scales and signs, and --lag."
+        ]
+    if budget.misfit > CONVERGED_MISFIT:
+        return [
+            "The log does not fit the machine: the innovations are larger than every usual error "
+            "together explains, so few rows or none are valid. Check the machine file, the columns "
+            "with their scales and signs, and --lag."
+        ]
+    return []
 
 
 def _reciprocity(result: LogRun) -> list[str]:

@@ -156,6 +156,10 @@ class Assumed:
     covariance: Array
     filter_scale: float
 
+    def with_deviation(self, name: str, deviation: float) -> Assumed:
+        """Return the assumptions with another deviation."""
+        return replace(self, deviations=self.deviations | {name: deviation})
+
     def array(self) -> Array:
         """Return the deviations in the order of the C code."""
         return np.array([self.deviations[name] for name in NAMES])

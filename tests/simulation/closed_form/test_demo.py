@@ -50,8 +50,8 @@ def test_replay_gives_the_committed_numbers(tmp_path):
 def test_demo_errors_are_small(tmp_path):
     result, estimates = replay(tmp_path)
     statistics = result.statistics
-    assert statistics.valid > 0.9 * statistics.rows
-    assert statistics.error_max < np.radians(15)  # passes zero speed, with a dead-time error
+    assert statistics.valid > 0.85 * statistics.rows  # not at full load: L_s is assumed to 10 %
+    assert statistics.error_max < np.radians(2)  # even through zero speed
     settled = estimates.filter(pl.col("valid") & (pl.col("t") > 0.2) & (pl.col("t") < 1.0))
     assert settled["theta_e_error"].abs().max() < np.radians(2)
 
@@ -63,7 +63,7 @@ def test_demo_command_writes_both_files(tmp_path):
         "estimates.parquet",
         "report.png",
     ]
-    assert "Estimated as well: drift, resistance, inverter" in done.stdout
+    assert "Identified from the whole log: magnet flux" in done.stdout
     assert "Warning" not in done.stdout
 
 
