@@ -100,9 +100,13 @@ class Outputs(Markdown):
     def run(self) -> list[nodes.Node]:
         from fluxobs.observers import AdaptiveEstimate, Estimate, ImmersionEstimate
         from fluxobs.observers.outputs import markdown
+        from fluxobs.smoothing.estimate import SmoothedEstimate
 
         table = markdown(
-            ("plain", Estimate), ("adaptive", AdaptiveEstimate), ("immersed", ImmersionEstimate)
+            ("smoothed", SmoothedEstimate),
+            ("plain", Estimate),
+            ("adaptive", AdaptiveEstimate),
+            ("immersed", ImmersionEstimate),
         )
         table = re.sub(r"docs/(\w+)\.md", r"[\1](/\1.md)", table)
         return self.parsed(table.split("\n"))
