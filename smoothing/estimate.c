@@ -8,13 +8,8 @@
 
 enum { N = FO_SMOOTH, DRIFT = 2, PSI = 4, RESISTANCE = 5 };
 
-/* A row is known if its auxiliary flux has this share of the usual flux, and if the innovations
- * around it have less than this mean square; 1 would be what the model expects. */
+/* A row is known if its auxiliary flux has this share of the usual flux. */
 #define KNOWN_SHARE 0.1
-#define KNOWN_MISFIT 0.3
-/* Time around a row over which the innovations are averaged [s], and fewest blocks on a side. */
-#define MISFIT_TIME 0.02
-enum { MISFIT_BLOCKS = 3 };
 /* Rows over which the speed is fitted. */
 #define SPEED_WINDOW 40.0
 
@@ -49,6 +44,7 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     w->measured = malloc(blocks * sides * sizeof *w->measured);
     w->across = malloc((blocks * w->columns + 1) * sizeof *w->across);
     w->noise = malloc(blocks * sizeof *w->noise);
+    w->doubtful = calloc(blocks, sizeof *w->doubtful);
     w->total = malloc((blocks * w->columns + 1) * sizeof *w->total);
     s->room.state = malloc(blocks * N * sides * sizeof(double));
     s->room.covariance = malloc(blocks * N * N * sizeof(double));
@@ -57,7 +53,7 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     s->room.gain = malloc(blocks * N * sizeof(double));
     s->room.work = malloc(2 * N * sides * sizeof(double));
     return w->angle && w->speed && w->unwrapped && w->correction && w->psi && w->block &&
-           w->about && w->measured && w->across && w->total && w->noise && s->room.state &&
+           w->about && w->measured && w->across && w->total && w->noise && w->doubtful && s->room.state &&
            s->room.covariance && s->room.innovation && s->room.spread && s->room.gain &&
            s->room.work;
 }
@@ -75,6 +71,7 @@ static void release(fo_work *w, fo_smoothed *s)
     free(w->across);
     free(w->total);
     free(w->noise);
+    free(w->doubtful);
     free(s->room.state);
     free(s->room.covariance);
     free(s->room.innovation);
@@ -94,23 +91,13 @@ static void angle_columns(const fo_work *w, const fo_smoothed *s, size_t b, doub
                     about->across_psi * x[PSI * s->sides + 1 + j];
 }
 
-static void misfits(const fo_work *w, const fo_smoothed *s, spread *all)
+static void set_innovations(const fo_work *w, const fo_smoothed *s, spread *all, double *misfit)
 {
-    const size_t blocks = w->blocks;
-    const double span = MISFIT_TIME / (w->model->sample_time * (double)w->per_block);
-    const size_t side = span > MISFIT_BLOCKS ? (size_t)span : MISFIT_BLOCKS;
-    for (size_t b = 0; b < blocks; b++) {
+    fo_misfits(w, s, misfit);
+    for (size_t b = 0; b < w->blocks; b++) {
         const double v = s->room.spread[b];
         all[b].innovation = isfinite(v) ? s->room.innovation[b * s->sides] / sqrt(v) : 0.0;
-    }
-    double sum = 0.0;
-    size_t low = 0, high = 0; /* blocks low .. high - 1 are in the sum */
-    for (size_t b = 0; b < blocks; b++) {
-        const size_t to = b + side + 1 < blocks ? b + side + 1 : blocks,
-                     from = b > side ? b - side : 0;
-        for (; high < to; high++) sum += all[high].innovation * all[high].innovation;
-        for (; low < from; low++) sum -= all[low].innovation * all[low].innovation;
-        all[b].misfit = fmax(sum, 0.0) / (double)(high - low);
+        all[b].misfit = misfit[b];
     }
 }
 
@@ -249,9 +236,11 @@ static void write_rows(const fo_work *w, const fo_assumed *l, const fo_smoothed 
         SET(resistance_std, sqrt(fmax(MIX(resistance), 0.0)));
         SET(innovation, at.share < 0.5 ? a->innovation : z->innovation);
         SET(misfit, MIX(misfit));
-        out->known[k] = (uint8_t)(w->record.measured[k] &&
-                                  rows[k].size > KNOWN_SHARE * m->flux_base &&
-                                  MIX(misfit) < KNOWN_MISFIT);
+        const bool doubtful =
+            w->doubtful[at.block] || w->doubtful[next] || MIX(misfit) > FO_KNOWN_MISFIT;
+        SET(doubtful, doubtful ? 1.0 : 0.0);
+        out->known[k] = (uint8_t)(w->record.measured[k] && !doubtful &&
+                                  rows[k].size > KNOWN_SHARE * m->flux_base);
 #undef SET
 #undef STATE
     }
@@ -289,7 +278,7 @@ bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_a
     }
     if (good) {
         fo_linearise(&w, learnt->p, rows);
-        misfits(&w, &s, all);
+        set_innovations(&w, &s, all, w.noise);
         for (size_t b = 0; b < w.blocks; b++)
             spread_of(&w, learnt, &s, b, &all[b],
                       out->budget == NULL ? NULL : out->budget + b * FO_BUDGET);

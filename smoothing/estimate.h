@@ -28,7 +28,8 @@ extern "C" {
     NUMBER(resistance)      /* [Ω]                                                          */ \
     NUMBER(resistance_std)                                                                     \
     NUMBER(innovation)      /* of the row's block, divided by its std                       */ \
-    NUMBER(misfit)          /* mean square of the innovations around the row                */
+    NUMBER(misfit)          /* mean square of the innovations around the row                */ \
+    NUMBER(doubtful)        /* 1: the row or its neighbours do not fit                      */
 
 #define FO_SMOOTHED_INDEX(name) FO_S_##name,
 enum { FO_SMOOTHED_FIELDS(FO_SMOOTHED_INDEX) FO_S };

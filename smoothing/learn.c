@@ -38,8 +38,59 @@ enum { ITERATIONS = 16, FLUX_FIRST = 3, POLISHING = 2 };
  * within two standard deviations (benchmarks/whole_log.py). */
 #define MISFIT_MARGIN 3.0
 #define LEAST_FILTER_SCALE 0.05
+/* Blocks on each side over which the innovations are averaged, at least. */
+enum { MISFIT_BLOCKS = 3 };
+/* If a larger share of the blocks does not fit, the model is wrong, not a stretch of the log. */
+#define MOST_DOUBTFUL 0.1
+/* What happens in a stretch that does not fit: the flux, and this share of the magnet flux, may
+ * jump in each of its blocks. */
+#define PSI_JUMP 0.3
+/* Rounds in which stretches are found and left out. */
+enum { DOUBTFUL_ROUNDS = 2 };
 /* Share of the noise in the regressors that is taken from the information. */
 #define REGRESSOR_NOISE 0.999
+
+void fo_misfits(const fo_work *w, const fo_smoothed *s, double *misfit)
+{
+    const size_t blocks = w->blocks;
+    const double span = FO_MISFIT_TIME / (w->model->sample_time * (double)w->per_block);
+    const size_t side = span > MISFIT_BLOCKS ? (size_t)span : MISFIT_BLOCKS;
+    double sum = 0.0, count = 0.0;
+    size_t low = 0, high = 0; /* blocks low .. high - 1 are in the sum */
+    for (size_t b = 0; b < blocks; b++) {
+        const size_t to = b + side + 1 < blocks ? b + side + 1 : blocks,
+                     from = b > side ? b - side : 0;
+        for (; high < to; high++)
+            if (isfinite(s->room.spread[high])) {
+                const double e = s->room.innovation[high * s->sides];
+                sum += e * e / s->room.spread[high];
+                count += 1.0;
+            }
+        for (; low < from; low++)
+            if (isfinite(s->room.spread[low])) {
+                const double e = s->room.innovation[low * s->sides];
+                sum -= e * e / s->room.spread[low];
+                count -= 1.0;
+            }
+        misfit[b] = count > 0.0 ? fmax(sum, 0.0) / count : 0.0;
+    }
+}
+
+/* Marks the blocks that do not fit if most others do; returns the number of new ones. */
+static size_t mark_doubtful(fo_work *w, const fo_smoothed *s, double *misfit)
+{
+    size_t doubtful = 0, added = 0;
+    fo_misfits(w, s, misfit);
+    for (size_t b = 0; b < w->blocks; b++)
+        doubtful += w->doubtful[b] || misfit[b] > FO_KNOWN_MISFIT;
+    if ((double)doubtful > MOST_DOUBTFUL * (double)w->blocks) return 0;
+    for (size_t b = 0; b < w->blocks; b++)
+        if (!w->doubtful[b] && misfit[b] > FO_KNOWN_MISFIT) {
+            w->doubtful[b] = 1;
+            added++;
+        }
+    return added;
+}
 
 double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block)
 {
@@ -80,12 +131,17 @@ static void set_variances(fo_work *w, const double p[FO_P], const double *covari
         block->variance = about->noise + fo_model_variance(m, about->rotation);
         if (covariance != NULL)
             block->variance += curvature_variance(about, block, covariance + b * N * N);
-        if (!about->usable) block->variance = INFINITY;
+        if (!about->usable || w->doubtful[b]) block->variance = INFINITY;
         block->decay = exp(-decay_rate * T);
         block->walk[0] = fo_flux_walk(w, p, b) * T;
         block->walk[1] = wander * wander * T;
         block->walk[2] = cage ? rotor * rotor * (1.0 - block->decay * block->decay) : psi * psi * T;
         block->walk[3] = resistance * resistance * T;
+        if (w->doubtful[b]) {
+            const double jump = PSI_JUMP * m->flux_base;
+            block->walk[0] += m->flux_base * m->flux_base;
+            block->walk[2] += jump * jump;
+        }
     }
 }
 
@@ -388,11 +444,15 @@ bool fo_learn(fo_work *w, bool learning, fo_assumed *out, fo_smoothed *s)
                       pairs,         pairs + blocks, psis,
                       psis + blocks, false};
         double *work = factor + P * P + P;
-        if (learning) good = iterate(w, out, s, &n, &a, factor);
-        for (int k = 0; good && k < POLISHING; k++) {
-            fo_linearise(w, out->p, NULL);
-            smooth_blocks(w, out->p, k > 0 || learning ? s->room.covariance : NULL, s);
-            move_reference(w, s, NULL, w->correction, w->psi);
+        for (int round = 0; good; round++) {
+            a.set = false;
+            if (learning) good = iterate(w, out, s, &n, &a, factor);
+            for (int k = 0; good && k < POLISHING; k++) {
+                fo_linearise(w, out->p, NULL);
+                smooth_blocks(w, out->p, k > 0 || learning ? s->room.covariance : NULL, s);
+                move_reference(w, s, NULL, w->correction, w->psi);
+            }
+            if (round == DOUBTFUL_ROUNDS || mark_doubtful(w, s, psis) == 0) break;
         }
         if (good) {
             good = normal_equations(w, out->p, s, usual_speed(w), &n);

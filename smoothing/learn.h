@@ -24,6 +24,15 @@ typedef struct {
  * their covariance stay. Returns false: no memory. */
 bool fo_learn(fo_work *w, bool learning, fo_assumed *learnt, fo_smoothed *smoothed);
 
+/* Mean square of the normalised innovations around each block, within FO_MISFIT_TIME. */
+void fo_misfits(const fo_work *w, const fo_smoothed *s, double *misfit);
+
+/* A row is known if the innovations around it have less than this mean square; 1 would be what the
+ * model expects of a poor drive, and usual are 0.001 to 0.05. */
+#define FO_KNOWN_MISFIT 0.3
+/* Time around a row over which the innovations are averaged [s]. */
+#define FO_MISFIT_TIME 0.02
+
 /* Variance that the flux gains in a second [Wb^2/s] at a block. */
 double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block);
 

@@ -59,6 +59,7 @@ typedef struct {
     double *across;                    /* blocks * columns: derivatives of the angle [rad] */
     vec *total;                        /* blocks * columns: derivatives of the flux [Wb] */
     double *noise;                     /* per block: variance of the innovation from the noise */
+    uint8_t *doubtful;                 /* per block: does not fit, so it teaches nothing */
     double start_rotor_flux;           /* cage: at the first row [Wb] */
 } fo_work;
 

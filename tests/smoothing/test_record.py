@@ -1,0 +1,168 @@
+"""The estimate of every row: sensitivities by running again, jumps, standstill, coverage."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fluxobs
+from fluxobs.estimation.course import Learning, course_of
+from fluxobs.logs.scales import Scales
+from fluxobs.machines.model.frames import wrap
+from fluxobs.smoothing.assumptions import ITEMS, NAMES
+from fluxobs.smoothing.record import (
+    SHARES,
+    Assumed,
+    RecordSamples,
+    SmoothingModel,
+    smooth_record,
+)
+from support.records import PMSM, SERVO, course, driven, log_columns
+
+H = 1e-4
+T = np.arange(8000) * H
+#: Run-up with two loads, and a reversal at the end.
+SPEED = np.interp(T, [0.0, 0.2, 0.4, 0.6, 0.8], [200.0, 200.0, 600.0, 600.0, -300.0])
+CURRENT = 1j * np.interp(T, [0.0, 0.1, 0.15, 0.5, 0.55], [2.0, 2.0, 8.0, 8.0, -4.0])
+SCALES = Scales(
+    current=6.0, voltage=8.0, current_noise=0.02, voltage_noise=0.1, current_speed=500.0
+)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return driven(SERVO, H, SPEED, CURRENT, noise=0.02)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return SmoothingModel.of(SERVO, SCALES, H, SERVO.psi_f, 0.02, 600.0, {})
+
+
+@pytest.fixture(scope="module")
+def record(samples):
+    angle = np.unwrap(samples.theta)
+    voltage = samples.voltage.copy()
+    voltage[0] = voltage[1]
+    return RecordSamples(
+        voltage,
+        samples.current,
+        np.ones(len(angle), bool),
+        angle,
+        np.full(len(angle), 0.02),
+    )
+
+
+def alone(model, name):
+    """Return assumptions of which only one is uncertain."""
+    variance = np.zeros(len(model.active))
+    variance[model.active.index(name)] = model.stds[name] ** 2
+    return Assumed(dict.fromkeys(NAMES, 0.0), np.diag(variance), 1.0)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("resistance", "inverter_soft", "lag", "delay", "offset_alpha", "current_gain_re"),
+        *("voltage_gain_im", "iron_loss", "L_d", "psi_f", "fifth", "seventh"),
+    ],
+)
+def test_a_share_is_what_running_again_gives(model, record, name):
+    start = alone(model, name)
+    share = smooth_record(model, record, start, learning=False).shares[:, SHARES.index(name)]
+    step = 0.02 * model.stds[name]
+    angles = [
+        np.unwrap(
+            smooth_record(
+                model, record, start.with_deviation(name, sign * step), learning=False
+            ).outputs["theta_e"]
+        )
+        for sign in (1, -1)
+    ]
+    again = wrap(angles[0] - angles[1]) / 2 * model.stds[name] / step
+    m = model.rows_per_block
+    blocks = again[: len(share) * m].reshape(-1, m).mean(axis=1)
+    turning = np.abs(SPEED[m // 2 :: m][: len(blocks)]) > 100  # at rest nothing is linear
+    size = np.sqrt(np.mean(blocks**2))
+    np.testing.assert_allclose(
+        np.sqrt(share)[turning], np.abs(blocks)[turning], atol=0.05 * size + 4e-4
+    )
+
+
+def test_assumptions_of_the_items_are_those_of_the_c_code():
+    listed = [name for item in ITEMS for name in item.assumptions]
+    assert sorted(listed) == sorted(NAMES)
+
+
+def test_two_standard_deviations_hold(samples):
+    result = fluxobs.estimate(log_columns(samples), SERVO)
+    error = np.abs(wrap(result["theta_e"] - samples.theta))
+    assert (error < 2 * result["theta_e_std"]).mean() > 0.95
+    assert np.sqrt(np.mean(error**2)) < np.radians(1)
+    speed_error = np.abs(result["speed_e"] - SPEED)
+    assert (speed_error < 3 * result["speed_e_std"])[30:-30].mean() > 0.95
+
+
+def test_a_start_at_rest_is_known_from_behind():
+    speed = np.interp(T, [0.1, 0.3], [0.0, 500.0])
+    samples = driven(SERVO, H, speed, np.full(len(T), 2j), noise=0.02)
+    result = fluxobs.estimate(log_columns(samples), SERVO)
+    error = np.abs(wrap(result["theta_e"] - samples.theta))
+    assert result["valid"][1000:].all()
+    assert (error < 3 * result["theta_e_std"]).all()
+    causal = fluxobs.estimate(log_columns(samples), SERVO, causal=True)
+    assert causal["valid"].sum() < result["valid"].sum()
+
+
+def test_a_stretch_that_does_not_fit_is_not_valid(samples):
+    voltage = samples.voltage.copy()
+    voltage[4000:4060] = 0.0  # the bridge was off, and the log does not tell the voltage
+    result = fluxobs.estimate(log_columns(replace(samples, voltage=voltage)), SERVO)
+    error = np.abs(wrap(result["theta_e"] - samples.theta))
+    valid = result["valid"]
+    assert not valid[4005:4055].any()
+    assert valid[:3500].mean() > 0.9
+    assert valid[4600:].mean() > 0.9
+    assert error[valid].max() < np.radians(5)
+
+
+def test_a_rotor_that_never_turns_is_not_known():
+    samples = driven(SERVO, H, np.zeros(len(T)), CURRENT, noise=0.02)
+    result = fluxobs.estimate(log_columns(samples), SERVO)
+    assert not result["valid"].any()
+
+
+def test_learnt_parameters_hold():
+    samples = course(R_s=1.3 * PMSM.R_s)
+    result = fluxobs.estimate(log_columns(samples), PMSM)
+    learnt = result.learnt
+    assert abs(learnt.resistance - 1.3 * PMSM.R_s) < 3 * learnt.resistance_std
+    assert learnt.resistance_std < 0.05 * PMSM.R_s
+    assert result.budget.std < np.radians(3)
+    assert result.budget.advice.startswith("To gain most, ")
+
+
+def test_segments_are_joined_like_one_record(model):
+    """Without a walk, the joined estimate is the weighted mean, with the prior counted once."""
+    still = model.with_numbers(psi_rate=0.0, resistance_rate=0.0)
+    prior = np.array([still.stds[name] ** 2 for name in still.active])
+    rng = np.random.default_rng(1)
+    parts, total, moment = [], 1 / prior, np.zeros(len(prior))
+    for n in range(3):
+        information = rng.uniform(0.5, 20, len(prior)) / prior
+        value = rng.normal(0, 1, len(prior)) * np.sqrt(prior)
+        covariance = 1 / (information + 1 / prior)
+        deviations = dict.fromkeys(NAMES, 0.0) | dict(
+            zip(still.active, covariance * information * value, strict=True)
+        )
+        parts.append(Learning(float(n), Assumed(deviations, np.diag(covariance), 1.0), 0.01))
+        total, moment = total + information, moment + information * value
+    joined = course_of(still, parts)
+    for n in range(3):
+        np.testing.assert_allclose(joined.values[n], moment / total)
+        np.testing.assert_allclose(np.diag(joined.covariances[n]), 1 / total)
+    bad = replace(parts[0], misfit=10.0)
+    np.testing.assert_allclose(
+        course_of(still, [bad, parts[1]]).values[0],
+        [parts[1].assumed.deviations[name] for name in still.active],
+    )
