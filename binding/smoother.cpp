@@ -48,7 +48,7 @@ nb::tuple smooth(const Rows &blocks, const Rows &measured, const Column &start) 
 }
 
 using Table = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-using Flags = nb::ndarray<const std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Flags = nb::ndarray<const bool, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 nb::tuple estimate(const Column &numbers, const Column &std, int kind, const Column &map,
                    const Table &coefficients, const Rows &voltage, const Rows &current,
@@ -65,7 +65,7 @@ nb::tuple estimate(const Column &numbers, const Column &std, int kind, const Col
                           rows,
                           voltage.data(),
                           current.data(),
-                          measured.data(),
+                          reinterpret_cast<const std::uint8_t *>(measured.data()),
                           angle.data(),
                           angle_std.data(),
                           learning ? 1 : 0};

@@ -53,7 +53,7 @@ def test_estimate_writes_rows_summary_and_picture(folder):
     assert estimates["theta_e_error"][-1000:].abs().max() < np.radians(2)
     assert "valid on 100.0%" in done.stdout
     assert "acts from its row to the next (lag 0)" in done.stdout
-    assert "magnet flux 12.5 mWb" in done.stdout
+    assert "Standard deviation of the position: " in done.stdout
     assert "Position error" in done.stdout
     assert "Warning" not in done.stdout
     assert (folder / "report.png").read_bytes().startswith(b"\x89PNG")

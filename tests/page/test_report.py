@@ -26,7 +26,7 @@ def test_it_recomputes_the_run(result, window, tmp_path):
     assert "fluxobs estimate log.csv" in report.page.inner_text("#more")
     for name in result.estimates.columns:
         shown, expected = report.column(name).astype(float), result[name].astype(float)
-        np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(shown, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
 
 
 def test_a_slider_shows_the_run_with_another_resistance(result, window, tmp_path):
@@ -40,9 +40,9 @@ def test_a_slider_shows_the_run_with_another_resistance(result, window, tmp_path
     changed = result.machine.with_values(psi_f=result.machine.psi_f * 2**0.5)
     path = fluxobs.demo_log().path
     expected = fluxobs.estimate(path, changed, unknowns=",".join(result.unknowns))
-    np.testing.assert_allclose(report.column("theta_e"), expected["theta_e"], atol=1e-9)
+    np.testing.assert_allclose(report.column("theta_e"), expected["theta_e"], atol=1e-6)
     report.page.click(".sliders button")
-    np.testing.assert_allclose(report.column("theta_e"), result["theta_e"], atol=1e-9)
+    np.testing.assert_allclose(report.column("theta_e"), result["theta_e"], atol=1e-6)
 
 
 def test_it_contains_the_licences_of_its_components(result, window, tmp_path):

@@ -7,7 +7,7 @@ in windows that overlap; its parameters are learnt from segments spread over the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,11 @@ SUSPICIOUS_MISFIT = 0.1
 CONTRADICTION = 6.0
 #: A phase current that equals its extreme this often is clipped, within this share.
 CLIPPED_ROWS, CLIPPED_SHARE = 5, 1e-6
+#: A current or voltage beyond this multiple of its usual size is implausible.
+PLAUSIBLE = 10.0
+#: A current is an outlier if it is off the middle of its neighbours by this share of the usual
+#: current, and its neighbours differ by less than half of that.
+OUTLIER_SHARE = 0.25
 #: Directions of the phases.
 PHASES = np.array([[1.0, 0.0], [-0.5, 3**0.5 / 2], [-0.5, -(3**0.5) / 2]])
 
@@ -137,14 +142,50 @@ def _clipped(current: Array) -> NDArray[np.bool_]:
     return np.asarray(padded[:-2] | at_limit | padded[2:])
 
 
+def _plausible(values: Array, usual: float) -> Array:
+    """Return values with NaN in place of implausible ones."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.hypot(values[:, 0], values[:, 1])
+    return np.where((size < PLAUSIBLE * usual)[:, None], values, np.nan)
+
+
+def _less_outliers(current: Array, usual: float) -> Array:
+    """Return currents with NaN in place of single rows that contradict both neighbours."""
+    before, here, after = current[:-2], current[1:-1], current[2:]
+    off = here - (before + after) / 2
+    apart = after - before
+    limit = OUTLIER_SHARE * usual
+    wrong = (np.hypot(off[:, 0], off[:, 1]) > limit) & (
+        np.hypot(apart[:, 0], apart[:, 1]) < limit / 2
+    )
+    outlier = np.concatenate([[False], wrong, [False]])
+    return np.where(outlier[:, None], np.nan, current)
+
+
 def record_samples(
-    rows: Anchored, anchors: NDArray[np.bool_], inverter: InverterError | None
+    rows: Anchored,
+    anchors: NDArray[np.bool_],
+    inverter: InverterError | None,
+    usual_current: float,
+    usual_voltage: float,
 ) -> RecordSamples:
-    """Return the samples for the smoother; `inverter` is subtracted from the voltages."""
+    """Return the samples for the smoother.
+
+    Parameters
+    ----------
+    rows : Anchored
+    anchors : (rows,) ndarray of bool
+    inverter : InverterError, optional
+        Its loss is subtracted from the voltages.
+    usual_current, usual_voltage : float
+        [A], [V].
+    """
     samples = rows.samples
-    finite = np.isfinite(samples.current).all(axis=1)
-    current = _filled(samples.current)
-    filled = samples._replace(current=current, voltage=_filled(samples.voltage))
+    measured = _less_outliers(_plausible(samples.current, usual_current), usual_current)
+    finite = np.isfinite(measured).all(axis=1)
+    current = _filled(measured)
+    voltage = _filled(_plausible(samples.voltage, usual_voltage))
+    filled = samples._replace(current=current, voltage=voltage)
     if inverter is not None:
         filled = less_lost(filled, inverter, current[:1])
     at = np.flatnonzero(anchors)
@@ -285,6 +326,12 @@ class WholeLog:
             )
         return self.model
 
+    def _samples(self, rows: Anchored, anchors: NDArray[np.bool_]) -> RecordSamples:
+        scales, machine = self.run.scales, self.machine
+        inverter = machine.inverter if self.run.log.inverter is None else None
+        usual = max(scales.current, machine.rated_current or 0.0)
+        return record_samples(rows, anchors, inverter, usual, scales.voltage)
+
     def _start(self, model: SmoothingModel) -> Assumed:
         """Return the parameters that the observer learnt."""
         prior, learnt, machine = model.prior(), self.learnt, self.machine
@@ -323,8 +370,7 @@ class WholeLog:
         self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]
     ) -> Iterator[tuple[RecordSamples, Assumed, SmoothingModel]]:
         """Yield samples, parameters and model to start from, the most promising first."""
-        inverter = self.machine.inverter if self.run.log.inverter is None else None
-        samples = record_samples(rows, anchors, inverter)
+        samples = self._samples(rows, anchors)
         start = self._start(model)
         yield samples, start, model
         if isinstance(self.machine, InductionMachine):
@@ -335,7 +381,7 @@ class WholeLog:
             other, length = self._plain_angles(rows)
             anchors = anchors_of(other)
             if anchors.sum() >= LEAST_ANCHORS:
-                samples = record_samples(other, anchors, inverter)
+                samples = self._samples(other, anchors)
                 model = model.with_numbers(
                     speed=usual_speed(other, anchors, self.run.log.sample_time)
                 )
@@ -374,17 +420,16 @@ class WholeLog:
             time = float(rows.samples.t[len(rows.valid) // 2])
             self.course = course_of(model, [Learning(time, record.assumed, record.misfit)])
         else:
-            inverter = self.machine.inverter if self.run.log.inverter is None else None
             middle = float(rows.samples.t[(first + last) // 2])
             record = smooth_record(
                 model,
-                record_samples(rows, anchors, inverter),
+                self._samples(rows, anchors),
                 self.course.at(middle, model),
                 learning=False,
             )
         self.budget.contradiction = contradiction(model, record.assumed)
-        if self.budget.contradiction:
-            record = replace(record, known=np.zeros(len(record.known), bool))
+        if self.budget.contradiction or not record.known.any():
+            return self._unknown(rows, first, last)
         voltage, std = inverter_loss(model, record.assumed)
         estimates = smoothed_estimate(record, voltage, std)
         self._add_budget(model, rows, record, estimates, first, last)
@@ -453,27 +498,27 @@ class WholeLog:
         return rows_of(self.run.log, self.machine, self.run.observer, samples, part)
 
     def _unknown(self, rows: Anchored, first: int, last: int) -> EstimateRows:
-        """Return rows of which nothing is known: the rotor never turned."""
+        """Return rows of which nothing is known: the rotor never turned, or no row fits."""
         n = len(rows.valid)
-        zeros, infinite = np.zeros(n), np.full(n, np.inf)
+        zeros, unknown = np.zeros(n), np.full(n, np.nan)
         plain = self.plain
         estimates = SmoothedEstimate(
             flux=np.zeros((n, 2)),
-            flux_std=np.full((n, 2), np.inf),
+            flux_std=np.full((n, 2), np.nan),
             psi_f=np.full(n, float(plain.flux_base)),
-            psi_f_std=infinite,
+            psi_f_std=unknown,
             theta_e=np.where(np.isfinite(rows.angle), rows.angle, 0.0),
             theta_e_std=np.full(n, np.pi / np.sqrt(3)),
             speed_e=zeros,
-            speed_e_std=infinite,
+            speed_e_std=unknown,
             drift=np.zeros((n, 2)),
-            drift_std=infinite,
+            drift_std=unknown,
             resistance=np.full(n, self.machine.R_s),
-            resistance_std=infinite,
+            resistance_std=unknown,
             inverter_voltage=np.full(n, self.machine.inverter_voltage or 0.0),
-            inverter_voltage_std=infinite,
+            inverter_voltage_std=unknown,
             torque=zeros,
-            torque_std=infinite,
+            torque_std=unknown,
             innovation=zeros,
             valid=np.zeros(n, bool),
         )

@@ -54,10 +54,11 @@ def estimate(
             "current-bias"}
         Constant or slow unknowns. With resistance, inverter or asymmetry, the adaptive observer
         runs; with current-bias, the immersed observer runs, in Python, at 0.25 ms per row. "auto"
-        means all unknowns of the adaptive observer if the log needs this observer, else only drift.
+        means all unknowns of the adaptive observer. In both directions every assumption is in the
+        standard deviations, whichever observer starts.
     causal : bool
-        By default, the adaptive observer learns from the whole log, then estimates with the
-        learnt parameters. If true, the observer learns while it estimates, as in firmware.
+        By default, each row is estimated from the record before and behind it. If true, the
+        observer learns while it estimates, as in firmware.
     memory : float, optional
         Memory of the least squares [s]. The default depends on the kind of machine.
     priors : mapping of {"resistance", "inverter", "asymmetry", "psi_f"} to float, optional
@@ -85,7 +86,7 @@ def estimate(
     --------
     >>> import fluxobs
     >>> result = fluxobs.estimate(fluxobs.demo_log(), "servo-400w")
-    >>> round(float(result["resistance"][-1]), 3)  # the true value is 0.360
+    >>> round(float(result["resistance"][-1]), 2)  # the true value is 0.36
     0.36
     """
     machine = as_machine(machine)

@@ -240,7 +240,7 @@ def smooth_record(
         table,
         np.ascontiguousarray(samples.voltage, float),
         np.ascontiguousarray(samples.current, float),
-        np.ascontiguousarray(samples.measured, np.uint8),
+        np.ascontiguousarray(samples.measured, bool),
         np.ascontiguousarray(samples.angle, float),
         np.ascontiguousarray(samples.angle_std, float),
         start.array(),
