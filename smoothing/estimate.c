@@ -44,6 +44,8 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     w->measured = malloc(blocks * sides * sizeof *w->measured);
     w->across = malloc((blocks * w->columns + 1) * sizeof *w->across);
     w->noise = malloc(blocks * sizeof *w->noise);
+    w->hard = malloc(n * sizeof *w->hard);
+    w->soft = malloc(n * sizeof *w->soft);
     w->doubtful = calloc(blocks, sizeof *w->doubtful);
     w->total = malloc((blocks * w->columns + 1) * sizeof *w->total);
     s->room.state = malloc(blocks * N * sides * sizeof(double));
@@ -53,7 +55,8 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     s->room.gain = malloc(blocks * N * sizeof(double));
     s->room.work = malloc(2 * N * sides * sizeof(double));
     return w->angle && w->speed && w->unwrapped && w->correction && w->psi && w->block &&
-           w->about && w->measured && w->across && w->total && w->noise && w->doubtful && s->room.state &&
+           w->about && w->measured && w->across && w->total && w->noise && w->hard && w->soft &&
+           w->doubtful && s->room.state &&
            s->room.covariance && s->room.innovation && s->room.spread && s->room.gain &&
            s->room.work;
 }
@@ -72,6 +75,8 @@ static void release(fo_work *w, fo_smoothed *s)
     free(w->total);
     free(w->noise);
     free(w->doubtful);
+    free(w->hard);
+    free(w->soft);
     free(s->room.state);
     free(s->room.covariance);
     free(s->room.innovation);
@@ -277,7 +282,10 @@ bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_a
         good = fo_start(&w, learnt->p) && fo_learn(&w, learning, learnt, &s);
     }
     if (good) {
+        const size_t columns = w.columns;
+        w.columns = 0; /* the derivatives of the last pass stay */
         fo_linearise(&w, learnt->p, rows);
+        w.columns = columns;
         set_innovations(&w, &s, all, w.noise);
         for (size_t b = 0; b < w.blocks; b++)
             spread_of(&w, learnt, &s, b, &all[b],

@@ -448,6 +448,9 @@ bool fo_learn(fo_work *w, bool learning, fo_assumed *out, fo_smoothed *s)
             a.set = false;
             if (learning) good = iterate(w, out, s, &n, &a, factor);
             for (int k = 0; good && k < POLISHING; k++) {
+                /* Only the last pass needs derivatives. */
+                w->columns = k + 1 < POLISHING ? 0 : P;
+                s->sides = 1 + w->columns;
                 fo_linearise(w, out->p, NULL);
                 smooth_blocks(w, out->p, k > 0 || learning ? s->room.covariance : NULL, s);
                 move_reference(w, s, NULL, w->correction, w->psi);

@@ -2,8 +2,9 @@
 
 /* Steps of the iteration for the angle: each squares its error, and the first guess is close. */
 enum { STEPS = 4 };
-/* An angle step below this [rad] ends the iteration; it is applied, but not evaluated again. */
-#define CLOSE 1e-5
+/* An angle step below this [rad] ends the iteration; it is applied, but not evaluated again: its
+ * square is the error of the angle, and half of it that of the residual. */
+#define CLOSE 5e-4
 /* Largest step [rad]: beyond it the linear prediction is worthless. */
 #define LARGEST_STEP 0.5
 
@@ -38,7 +39,9 @@ double fo_solve_angle(const fo_model *m, const double p[FO_P], double psi, vec c
                       double *angle, vec *rotor, vec *in_rotor, fo_relation *at)
 {
     for (int n = 0;; n++) {
-        *rotor = direction_of(*angle);
+        double unit[2];
+        fo_direction(wrapped(*angle), unit);
+        *rotor = vec_of(unit[0], unit[1]);
         *in_rotor = product(current, conjugate(*rotor));
         fo_relate(m, p, psi, *in_rotor, *rotor, at);
         const vec rest = minus(product(flux, conjugate(*rotor)), at->flux);
@@ -54,16 +57,18 @@ double fo_inverter_loss(const fo_model *m, const double p[FO_P])
     return loss > 0.0 ? loss : 0.0;
 }
 
+/* tanh differs from 1 by 3e-8 here. */
+#define SATURATED 9.0
+
 void fo_phase_signs(vec current, double knee, fo_sign *out)
 {
     static const vec axis[3] = {
         {1.0, 0.0}, {-0.5, 0.8660254037844386}, {-0.5, -0.8660254037844386}};
-    const double saturated = 9.0; /* tanh differs from 1 by 3e-8 there */
     out->sign = vec_of(0.0, 0.0);
     out->dd = out->dq = out->qq = 0.0;
     for (int n = 0; n < 3; n++) {
         const double x = dot(current, axis[n]) / knee;
-        if (fabs(x) > saturated) {
+        if (fabs(x) >= SATURATED) {
             out->sign = plus(out->sign, times(x > 0.0 ? 2.0 / 3.0 : -2.0 / 3.0, axis[n]));
         } else {
             const double sign = tanh(x), slope = (1.0 - sign * sign) / knee * (2.0 / 3.0);

@@ -89,8 +89,12 @@ static void interval_at(const fo_work *w, const double p[FO_P], size_t row, inte
     at->around = times(0.5, plus(at->voltage, r->voltage[row + 1 < r->rows ? row + 1 : row]));
     const double share = length_of(at->mean) / m->current;
     at->bend = times(-BEND * (1.0 - share) / m->current, at->mean);
-    fo_phase_signs(at->middle, HARD_KNEE * m->current, &at->hard);
-    fo_phase_signs(at->middle, SOFT_KNEE * m->current, &at->soft);
+    if (!w->signs_known) {
+        fo_phase_signs(at->middle, HARD_KNEE * m->current, &w->hard[row]);
+        fo_phase_signs(at->middle, SOFT_KNEE * m->current, &w->soft[row]);
+    }
+    at->hard = w->hard[row];
+    at->soft = w->soft[row];
     const vec gain = vec_of(p[FO_P_voltage_gain_re], p[FO_P_voltage_gain_im]);
     vec v = plus(at->voltage, product(gain, conjugate(at->voltage)));
     v = minus(v, times(m->resistance + p[FO_P_resistance], at->mean));
@@ -156,12 +160,27 @@ static vec by_rotor_current(const fo_relation *at, vec change)
     return plus(times(change.re, at->by_d), times(change.im, at->by_q));
 }
 
-void fo_integrate(const fo_work *w, const double p[FO_P], vec *volt_seconds, vec *current,
+/* The signs of a pass serve the next passes as long as the currents stay the same. */
+static void begin_pass(fo_work *w, const double p[FO_P])
+{
+    const double now[4] = {p[FO_P_offset_alpha], p[FO_P_offset_beta], p[FO_P_current_gain_re],
+                           p[FO_P_current_gain_im]};
+    bool same = w->signs_filled;
+    for (int n = 0; n < 4; n++) {
+        same = same && now[n] == w->signs_of[n];
+        w->signs_of[n] = now[n];
+    }
+    w->signs_known = same;
+    w->signs_filled = true;
+}
+
+void fo_integrate(fo_work *w, const double p[FO_P], vec *volt_seconds, vec *current,
                   double *psi)
 {
     const fo_model *m = w->model;
     const bool cage = m->L_M > 0.0;
     rotor c = rotor_at_start(m, p, w->start_rotor_flux);
+    begin_pass(w, p);
     vec sum = vec_of(0.0, 0.0);
     for (size_t k = 0; k < w->record.rows; k++) {
         interval at;
@@ -303,6 +322,7 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
     const double noise2 = m->current_noise * m->current_noise;
     const double lag = p[FO_P_lag] + p[FO_P_delay];
     rotor c = rotor_at_start(m, p, w->start_rotor_flux);
+    begin_pass(w, p);
     vec flux = vec_of(0.0, 0.0), total[FO_P], volts[FO_P], change[FO_P];
     double i_d = 0.0;
     memset(total, 0, sizeof total);
@@ -338,12 +358,14 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
         fo_relation f;
         const double residual =
             fo_solve_angle(m, p, psi, i, lambda, &w->angle[k], &direction, &i_dq, &f);
-        volt_second_columns(w, p, &at, volts);
-        if (k > 0)
+        if (w->columns > 0) {
+            volt_second_columns(w, p, &at, volts);
+            flux_columns(m, &at, &f, direction, i_dq, lambda, speed, &c, change);
+        }
+        if (k > 0 && w->columns > 0)
             for (int n = 0; n < SUMMED; n++)
                 total[summed[n]] = plus(total[summed[n]], volts[summed[n]]);
         total[FO_P_lag] = total[FO_P_delay] = times(-h, at.around);
-        flux_columns(m, &at, &f, direction, i_dq, lambda, speed, &c, change);
         const vec along = product(f.along, direction); /* in stator coordinates */
         const vec athwart = turned(f.along), beside = turned(along);
         const double over = 1.0 / f.size, d = dot(f.by_d, f.along), q = dot(f.by_q, f.along),

@@ -59,6 +59,9 @@ typedef struct {
     double *across;                    /* blocks * columns: derivatives of the angle [rad] */
     vec *total;                        /* blocks * columns: derivatives of the flux [Wb] */
     double *noise;                     /* per block: variance of the innovation from the noise */
+    fo_sign *hard, *soft;              /* per row: signs of the phase currents */
+    double signs_of[4];                /* offsets and gains of the currents of these signs */
+    bool signs_known, signs_filled;
     uint8_t *doubtful;                 /* per block: does not fit, so it teaches nothing */
     double start_rotor_flux;           /* cage: at the first row [Wb] */
 } fo_work;
@@ -71,7 +74,7 @@ void fo_fit_speed(fo_work *w);
 
 /* Volt-seconds since the first row without correction [Wb], corrected current [A], and the flux of
  * the magnets or of the rotor [Wb] of all rows. */
-void fo_integrate(const fo_work *w, const double p[FO_P], vec *volt_seconds, vec *current,
+void fo_integrate(fo_work *w, const double p[FO_P], vec *volt_seconds, vec *current,
                   double *psi);
 
 /* Linear interpolation between the middles of blocks; constant beyond the first and last. */

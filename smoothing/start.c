@@ -19,6 +19,8 @@ enum { S = 4, DRIFT = 2 };
 #define VOLTAGE_SHARE 0.003
 /* Share of the prior by which the drift changes in a second. */
 #define DRIFT_RATE 0.05
+/* Blocks without an anchor over which the flux correction is interpolated. */
+enum { LONGEST_GAP = 8 };
 /* Gain of the speed that predicts the next row's angle. */
 #define SPEED_GAIN 0.1
 
@@ -189,6 +191,39 @@ static void anchors(const fo_work *w, const double p[FO_P], const start_record *
     }
 }
 
+/* Starts from the anchors alone if they leave no long gap; returns false if they do. */
+static bool start_from_anchors(fo_work *w, const start_record *r)
+{
+    const size_t n = w->per_block;
+    size_t last = 0;
+    bool any = false;
+    for (size_t b = 0; b < w->blocks; b++) {
+        vec sum = {0.0, 0.0};
+        size_t count = 0;
+        for (size_t k = b * n; k < (b + 1) * n; k++)
+            if (isfinite(w->record.angle_std[k])) {
+                sum = plus(sum, r->anchor[k]);
+                count++;
+            }
+        if (count == 0) {
+            if (b - (any ? last : 0) >= LONGEST_GAP) return false;
+            continue;
+        }
+        w->correction[b] = times(1.0 / (double)count, sum);
+        for (size_t a = any ? last + 1 : 0; a < b; a++) {
+            const double share = any ? (double)(a - last) / (double)(b - last) : 1.0;
+            w->correction[a] = plus(times(1.0 - share, any ? w->correction[last] : sum),
+                                    times(share, w->correction[b]));
+        }
+        last = b;
+        any = true;
+    }
+    if (!any || w->blocks - 1 - last >= LONGEST_GAP) return false;
+    for (size_t b = last + 1; b < w->blocks; b++) w->correction[b] = w->correction[last];
+    memcpy(w->angle, w->record.angle, w->record.rows * sizeof *w->angle);
+    return true;
+}
+
 bool fo_start(fo_work *w, const double p[FO_P])
 {
     const fo_model *m = w->model;
@@ -206,6 +241,13 @@ bool fo_start(fo_work *w, const double p[FO_P])
                                 (loss * loss + source * source) * LOSS_TIME};
         fo_integrate(w, p, room, room + n, numbers);
         anchors(w, p, &r, room + 2 * n);
+        if (start_from_anchors(w, &r)) {
+            fo_fit_speed(w);
+            free(room);
+            free(numbers);
+            free(states);
+            return true;
+        }
         run(w, p, &r, 1, states, forwards);
         run(w, p, &r, -1, states + w->blocks, backwards);
         for (size_t b = 0; b < w->blocks; b++) {
