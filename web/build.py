@@ -196,7 +196,7 @@ def up_to_date() -> bool:
         return False
     sources = [path for path in WEB.glob("*") if path.is_file()]
     sources += (WEB / "app").glob("*.html")
-    for folder in ("web/app", "web/runtime", "firmware", "binding", "src/fluxobs"):
+    for folder in ("web/app", "web/runtime", "firmware", "smoothing", "binding", "src/fluxobs"):
         sources += [path for path in (ROOT / folder).rglob("*.*") if path.suffix in SUFFIXES]
     oldest = min(path.stat().st_mtime for path in built)
     return oldest >= max(path.stat().st_mtime for path in sources)

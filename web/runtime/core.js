@@ -314,7 +314,14 @@ const $estimateLog = (
     );
     if (!good) throw ValueError("the log is too long for the page");
     const array = (at, ...shape) =>
-      new NdArray($numbers(at, shape.reduce((a, b) => a * b, 1)).slice(), shape, "f");
+      new NdArray(
+        $numbers(
+          at,
+          shape.reduce((a, b) => a * b, 1),
+        ).slice(),
+        shape,
+        "f",
+      );
     return $tuple([
       array(p, assumptions),
       array(posterior, active, active),
