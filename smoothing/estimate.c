@@ -273,6 +273,8 @@ bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_a
     good = good && rows != NULL && all != NULL;
     if (good) {
         memcpy(w.angle, r->angle, r->rows * sizeof *w.angle);
+        for (size_t k = 1; k < w.blocks * w.per_block; k++)
+            if (isnan(r->voltage[k].re) || isnan(r->voltage[k].im)) w.doubtful[k / w.per_block] = 1;
         double current = 0.0;
         for (size_t k = 0; k < r->rows; k++) {
             const double i_d = dot(r->current[k], direction_of(r->angle[k]));

@@ -72,6 +72,13 @@ static vec sample(const vec *x, ptrdiff_t k, ptrdiff_t n)
     return vec_of(sample_of(&x->re, k, n), sample_of(&x->im, k, n));
 }
 
+/* An unknown voltage counts as zero; its block lets the flux jump. */
+static vec voltage_at(const fo_record *r, size_t row)
+{
+    const vec v = r->voltage[row];
+    return isnan(v.re) || isnan(v.im) ? vec_of(0.0, 0.0) : v;
+}
+
 static void interval_at(const fo_work *w, const double p[FO_P], size_t row, interval *at)
 {
     const fo_model *m = w->model;
@@ -85,8 +92,8 @@ static void interval_at(const fo_work *w, const double p[FO_P], size_t row, inte
     at->conjugate_current = conjugate(here);
     at->mean = corrected(p, mean);
     at->middle = corrected(p, row == 0 ? here : times(0.5, plus(here, before)));
-    at->voltage = r->voltage[row == 0 ? 1 : row];
-    at->around = times(0.5, plus(at->voltage, r->voltage[row + 1 < r->rows ? row + 1 : row]));
+    at->voltage = voltage_at(r, row == 0 ? 1 : row);
+    at->around = times(0.5, plus(at->voltage, voltage_at(r, row + 1 < r->rows ? row + 1 : row)));
     const double share = length_of(at->mean) / m->current;
     at->bend = times(-BEND * (1.0 - share) / m->current, at->mean);
     if (!w->signs_known) {

@@ -12,7 +12,7 @@ enum { FO_LONGEST_BLOCK = 16 };
 
 typedef struct {
     size_t rows;
-    const vec *voltage;       /* mean over the interval that ends at the row [V] */
+    const vec *voltage;       /* mean over the interval that ends at the row [V]; NaN: unknown */
     const vec *current;       /* sampled at the row [A]; finite */
     const uint8_t *measured;  /* 0: the current is lost or clipped */
     const double *angle;      /* of an observer [rad] */

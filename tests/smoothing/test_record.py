@@ -83,9 +83,11 @@ def test_a_share_is_what_running_again_gives(model, record, name):
     m = model.rows_per_block
     blocks = again[: len(share) * m].reshape(-1, m).mean(axis=1)
     turning = np.abs(SPEED[m // 2 :: m][: len(blocks)]) > 100  # at rest nothing is linear
+    turning[-2:] = False  # the last block has fewer rows behind it
     size = np.sqrt(np.mean(blocks**2))
+    # The smoother cancels most of an offset; what remains is known to 0.15°.
     np.testing.assert_allclose(
-        np.sqrt(share)[turning], np.abs(blocks)[turning], atol=0.05 * size + 4e-4
+        np.sqrt(share)[turning], np.abs(blocks)[turning], atol=0.05 * size + 2.5e-3
     )
 
 
@@ -124,6 +126,10 @@ def test_a_stretch_that_does_not_fit_is_not_valid(samples):
     assert valid[:3500].mean() > 0.9
     assert valid[4600:].mean() > 0.9
     assert error[valid].max() < np.radians(5)
+    ((start, end),) = result.budget.stretches
+    assert start < 4000 * H
+    assert 4060 * H < end < 4600 * H
+    assert any(text.startswith("These stretches contradict") for text in result.warnings)
 
 
 def test_a_rotor_that_never_turns_is_not_known():

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.arrays import Array
 from ..smoothing.assumptions import ITEMS
 from ..smoothing.record import SHARES
 
+#: Stretches at the borders of two windows are one if they are closer than this [s].
+MERGED = 0.01
 #: Names of the items: those of ITEMS, then what no assumption explains.
 NAMES: tuple[str, ...] = (*(item.name for item in ITEMS), "smoother", "noise")
 #: Matrix that adds the shares of assumptions to those of items.
@@ -60,6 +63,8 @@ class Budget:
         Times [s] and variances of the items [rad^2], thinned out for the picture.
     misfit : float
         Mean square of the normalised innovations of the smoother; NaN if it did not run.
+    stretches : list of (float, float)
+        Start and end of each stretch that does not fit its surroundings [s].
     contradiction : str
         The assumption that the log contradicts; empty if there is none.
     """
@@ -69,7 +74,17 @@ class Budget:
     t: list[Array] = field(default_factory=list)
     series: list[Array] = field(default_factory=list)
     misfit: float = float("nan")
+    stretches: list[tuple[float, float]] = field(default_factory=list)
     contradiction: str = ""
+
+    def add_stretches(self, t: Array, doubtful: NDArray[np.bool_]) -> None:
+        """Add the stretches of consecutive doubtful rows at times `t`."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], doubtful.astype(int), [0]])))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            first, last = float(t[start]), float(t[end - 1])
+            if self.stretches and start == 0 and first - self.stretches[-1][1] < MERGED:
+                first = self.stretches.pop()[0]
+            self.stretches.append((first, last))
 
     def add(self, t: Array, shares: Array, valid: Array, stride: int) -> None:
         """Add blocks: times, variances by assumption, numbers of valid rows."""

@@ -57,6 +57,8 @@ SUSPICIOUS_MISFIT = 0.1
 CONTRADICTION = 6.0
 #: A phase current that equals its extreme this often is clipped, within this share.
 CLIPPED_ROWS, CLIPPED_SHARE = 5, 1e-6
+#: Gaps of at most this many voltages are interpolated.
+SHORT_GAP = 2
 #: A current or voltage beyond this multiple of its usual size is implausible.
 PLAUSIBLE = 10.0
 #: A current is an outlier if it is off the middle of its neighbours by this share of the usual
@@ -127,6 +129,19 @@ def _filled(values: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
+def _short_gaps_filled(voltage: Array) -> Array:
+    """Interpolate short gaps and the ends; the volt-seconds of a longer gap are unknown."""
+    missing = ~np.isfinite(voltage).all(axis=1)
+    if not missing.any():
+        return voltage
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(int), [0]])))
+    filled = _filled(voltage)
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - start > SHORT_GAP and start > 0 and end < len(voltage):
+            filled[start:end] = np.nan
+    return filled
+
+
 def _clipped(current: Array) -> NDArray[np.bool_]:
     """Return whether a phase current or its neighbour lies at the limit of its sensor."""
     phases = current @ PHASES.T
@@ -184,7 +199,7 @@ def record_samples(
     measured = _less_outliers(_plausible(samples.current, usual_current), usual_current)
     finite = np.isfinite(measured).all(axis=1)
     current = _filled(measured)
-    voltage = _filled(_plausible(samples.voltage, usual_voltage))
+    voltage = _short_gaps_filled(_plausible(samples.voltage, usual_voltage))
     filled = samples._replace(current=current, voltage=voltage)
     if inverter is not None:
         filled = less_lost(filled, inverter, current[:1])
@@ -433,6 +448,8 @@ class WholeLog:
         voltage, std = inverter_loss(model, record.assumed)
         estimates = smoothed_estimate(record, voltage, std)
         self._add_budget(model, rows, record, estimates, first, last)
+        doubtful = record.outputs["doubtful"][first:last] > 0
+        self.budget.add_stretches(rows.samples.t[first:last], doubtful)
         return self._columns(rows, estimates, first, last)
 
     def parameters(self, statistics: Statistics) -> Learnt | None:

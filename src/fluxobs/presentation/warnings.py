@@ -24,6 +24,8 @@ VALID_SHARE = 0.5
 #: A summary is meaningful if the log lasts this many memories: after three memories, e⁻³ = 5 % of
 #: the initial error remains. With unknown resistance or inverter, no position is valid earlier.
 MEMORIES, MEMORIES_ADAPTIVE = 3, 5
+#: Number of stretches that a warning names.
+NAMED_STRETCHES = 5
 #: Warn of missing truth if a smaller share of the valid rows has a true value.
 TRUTH_SHARE = 0.99
 #: A voltage below this multiple of the resistive drop means standstill or very slow rotation.
@@ -78,7 +80,22 @@ def _misfit(result: LogRun) -> list[str]:
             "together explains, so few rows or none are valid. Check the machine file, the columns "
             "with their scales and signs, and --lag."
         ]
-    return []
+    return _stretches(budget.stretches)
+
+
+def _stretches(stretches: list[tuple[float, float]]) -> list[str]:
+    """Name the stretches that contradict the record before and behind them."""
+    if not stretches:
+        return []
+    named = [f"{start:.4g} to {end:.4g} s" for start, end in stretches[:NAMED_STRETCHES]]
+    more = len(stretches) - len(named)
+    if more:
+        named.append(f"{more} more")
+    return [
+        f"These stretches contradict the record before and behind them, so they are not valid and "
+        f"teach nothing: {', '.join(named)}. Something happened there that the columns do not "
+        f"show: a bridge that was off, clipped or repeated samples, a jump of a parameter."
+    ]
 
 
 def _reciprocity(result: LogRun) -> list[str]:

@@ -172,7 +172,7 @@ class RecordSamples:
     Attributes
     ----------
     voltage : (rows, 2) ndarray
-        Mean over the interval that ends at the row [V], finite.
+        Mean over the interval that ends at the row [V]; NaN if it is unknown.
     current : (rows, 2) ndarray
         [A], finite.
     measured : (rows,) ndarray of bool
