@@ -29,7 +29,8 @@ DRAWN = {"innovation", "adapting", "raw", "truth"}
 #: Rounding error of sums in another order, relative to the largest value of a column.
 ROUNDING = 1e-6
 #: The fit of a flux map uses eigenvectors, which amplify rounding.
-MAPPED = {"ipm-5kw6": 1e-4, "synrm-6kw7-saturated": 1e-4}
+MAPPED = {"ipm-5kw6": 1e-4, "synrm-6kw7-saturated": 1e-4, "synrm-6kw7": 1e-4}
+MAPPED["induction-2kw2"] = 2e-2  # the rotor flux is learnt in more iterations
 
 
 @pytest.fixture
@@ -62,8 +63,10 @@ def equal(opened_page, expected, rounding=ROUNDING):
         error = shown - wanted
         if name.startswith("theta") and not name.endswith("_std"):
             error = np.angle(np.exp(1j * error))
-        size = np.nanmax(np.abs(wanted)) or 1.0
         assert (np.isnan(shown) == np.isnan(wanted)).all(), name
+        if np.isnan(wanted).all():
+            continue
+        size = np.nanmax(np.abs(wanted)) or 1.0
         assert np.nanmax(np.abs(error)) <= rounding * size + 1e-15, name
     explained = opened_page.js("() => fluxobs.state.explained")
     if rounding == ROUNDING:
