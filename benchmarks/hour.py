@@ -63,7 +63,7 @@ def main() -> None:
         subprocess.run(command, check=True)
         wall = time.perf_counter() - started
         memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
-        heading(f"{rows} rows of Parquet (target for 72 million: 60 s, 1 GB)")
+        heading(f"{rows} rows of Parquet (target for 72 million: 180 s, 1 GB)")
         sizes = [(folder / n).stat().st_size / 2**30 for n in ("log.parquet", "estimates.parquet")]
         print(f"    {wall:.1f} s wall, {1e9 * wall / rows:.0f} ns per row, peak {memory:.2f} GiB")
         print(f"    log {sizes[0]:.2f} GiB, estimates {sizes[1]:.2f} GiB")
