@@ -67,7 +67,11 @@ def equal(opened_page, expected, rounding=ROUNDING):
         if np.isnan(wanted).all():
             continue
         size = np.nanmax(np.abs(wanted)) or 1.0
-        assert np.nanmax(np.abs(error)) <= rounding * size + 1e-15, name
+        # Where the position is not known, a standard deviation depends on when learning ends.
+        share = 10 * rounding if name.endswith("_std") else rounding
+        if rounding > ROUNDING and name.endswith("_std") and expected["valid"].any():
+            error = error[expected["valid"]]
+        assert np.nanmax(np.abs(error)) <= share * size + 1e-15, name
     explained = opened_page.js("() => fluxobs.state.explained")
     if rounding == ROUNDING:
         assert explained["summary"] == expected.summary
