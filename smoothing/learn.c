@@ -22,14 +22,10 @@ enum { ITERATIONS = 16, FLUX_FIRST = 3, POLISHING = 2 };
 /* Rise of the cost, per block and in all, that counts as worse. */
 #define WORSE_PER_BLOCK 0.02
 #define WORSE 5.0
-/* Voltage error that every inverter has: share of the voltage, and of the usual voltage. */
-#define VOLTAGE_SHARE 0.003
+/* Voltage error of every inverter besides, as a share of the usual voltage. */
 #define USUAL_VOLTAGE_SHARE 0.001
 /* The voltage error is constant at most this long [s]. */
 #define LONGEST_ERROR 1.5
-#define DRIFT_RATE 0.05
-/* Least inverter loss, as a share of its prior. */
-#define LEAST_LOSS 0.1
 /* A cage's flux differs from that of its model by this share of the rated flux. */
 #define ROTOR_FLUX_ERROR 0.05
 /* The innovations tell how well the log keeps to the model's error, which is that of a poor drive:
@@ -96,10 +92,7 @@ double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block)
 {
     const fo_model *m = w->model;
     const fo_block_facts *b = &w->about[block];
-    const double loss = fo_inverter_loss(m, p),
-                 least = LEAST_LOSS * m->std[FO_P_inverter_hard],
-                 inverter = m->voltage_error * (loss > least ? loss : least),
-                 source = VOLTAGE_SHARE * b->voltage, usual = USUAL_VOLTAGE_SHARE * m->voltage;
+    const double inverter = fo_inverter_error(m, p), source = FO_VOLTAGE_SHARE * b->voltage, usual = USUAL_VOLTAGE_SHARE * m->voltage;
     const double rate = b->rotation / (m->sample_time * (double)w->per_block);
     return 2.0 * (inverter * inverter + source * source + usual * usual) /
            fmax(rate, 1.0 / LONGEST_ERROR);
@@ -122,7 +115,7 @@ static void set_variances(fo_work *w, const double p[FO_P], const double *covari
     const fo_model *m = w->model;
     const bool cage = m->L_M > 0.0;
     const double decay_rate = cage ? m->R_R / m->L_M : 0.0;
-    const double wander = DRIFT_RATE * m->drift_std, resistance = m->resistance_rate * m->resistance,
+    const double wander = FO_DRIFT_RATE * m->drift_std, resistance = m->resistance_rate * m->resistance,
                  psi = m->psi_rate * m->flux_base, rotor = ROTOR_FLUX_ERROR * m->flux_base;
     for (size_t b = 0; b < w->blocks; b++) {
         fo_smooth_block *block = &w->block[b];

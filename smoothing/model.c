@@ -57,6 +57,15 @@ double fo_inverter_loss(const fo_model *m, const double p[FO_P])
     return loss > 0.0 ? loss : 0.0;
 }
 
+/* Least inverter loss, as a share of its prior. */
+#define LEAST_LOSS 0.1
+
+double fo_inverter_error(const fo_model *m, const double p[FO_P])
+{
+    const double loss = fo_inverter_loss(m, p), least = LEAST_LOSS * m->std[FO_P_inverter_hard];
+    return m->voltage_error * (loss > least ? loss : least);
+}
+
 /* tanh differs from 1 by 3e-8 here. */
 #define SATURATED 9.0
 

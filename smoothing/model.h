@@ -74,6 +74,14 @@ void fo_phase_signs(vec current, double knee, fo_sign *out);
 /* Inverter's loss of a phase [V], >= 0. */
 double fo_inverter_loss(const fo_model *m, const double p[FO_P]);
 
+/* Part of the loss that its parameters do not describe [V]. */
+double fo_inverter_error(const fo_model *m, const double p[FO_P]);
+
+/* Voltage error that every inverter has, as a share of the voltage. */
+#define FO_VOLTAGE_SHARE 0.003
+/* Share of its prior by which the drift changes in a second. */
+#define FO_DRIFT_RATE 0.05
+
 /* Length below which the relation does not tell an angle, as a share of the flux. */
 #define FO_SHORTEST_SHARE 0.02
 

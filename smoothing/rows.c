@@ -258,7 +258,7 @@ static void flux_columns(const fo_model *m, const interval *at, const fo_relatio
 /* Sums over the rows of a block. */
 typedef struct {
     vec along, along_by_time, mean, current, current_still, flux, flux_across, phase;
-    double psi_row, residual, measured, noise, squares, square_d, square_q, voltage, size, across_noise,
+    double psi_row, measured, noise, squares, square_d, square_q, voltage, size, across_noise,
         across_psi, rotation, speed, rotor_flux;
     double column[FO_P], across[FO_P];
     bool usable;
@@ -292,7 +292,6 @@ static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
     about->voltage = over * s->voltage;
     about->size = fmax(over * s->size, FO_SHORTEST_SHARE * m->flux_base);
     about->across_noise = over * s->across_noise;
-    about->residual = over * s->residual;
     about->across = times(over, s->flux_across);
     about->across_psi = over * s->across_psi;
     about->usable = s->usable && !(m->L_M > 0.0 &&
@@ -388,7 +387,6 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
             s.along_by_time = plus(s.along_by_time, times(since, along));
             s.psi_row += f.along.re;
             s.measured += dot(along, correction) - residual - f.along.re * (psi - reference);
-            s.residual += residual;
             s.noise += m->current_noise * sqrt(d * d + q * q);
             s.squares += d * d + q * q;
             s.square_d += (one_inductance ? d * d + q * q : d * d) / (1.0 + p[FO_P_L_d]);
@@ -412,7 +410,6 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
         if (rows != NULL) {
             rows[k].flux = lambda;
             rows[k].angle = w->angle[k] + speed * h * p[FO_P_delay];
-            rows[k].residual = residual;
             rows[k].size = f.size;
         }
     }

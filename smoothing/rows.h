@@ -30,7 +30,6 @@ typedef struct {
     double voltage;            /* [V] */
     double size;               /* of the auxiliary flux, less what the residual lacks [Wb] */
     double across_noise;       /* variance of the angle from the current's noise [rad^2] */
-    double residual;           /* [Wb] */
     bool usable;
     vec across;                /* derivative of the angle by the flux [rad/Wb] */
     double across_psi;         /* and by the magnet flux */
@@ -41,7 +40,7 @@ typedef struct {
     vec flux;       /* [Wb] */
     double angle;   /* at the time of the row [rad] */
     double speed;   /* [rad/s] */
-    double residual, size; /* [Wb] */
+    double size;    /* of the auxiliary flux [Wb] */
 } fo_row;
 
 typedef struct {

@@ -14,11 +14,6 @@ enum { S = 4, DRIFT = 2 };
 #define ANCHOR_ROWS 30.0
 /* Time constant of the unmodelled inverter loss [s]: about a turn at half speed. */
 #define LOSS_TIME 2e-3
-/* Least inverter loss, as a share of its prior; voltage error of every inverter. */
-#define LEAST_LOSS 0.1
-#define VOLTAGE_SHARE 0.003
-/* Share of the prior by which the drift changes in a second. */
-#define DRIFT_RATE 0.05
 /* Blocks without an anchor over which the flux correction is interpolated. */
 enum { LONGEST_GAP = 8 };
 /* Gain of the speed that predicts the next row's angle. */
@@ -149,7 +144,7 @@ static void run(const fo_work *w, const double p[FO_P], const start_record *r, i
                 direction_state *state, double *angle)
 {
     const fo_model *m = w->model;
-    const double wander = DRIFT_RATE * m->drift_std;
+    const double wander = FO_DRIFT_RATE * m->drift_std;
     filter f;
     memset(&f, 0, sizeof f);
     f.p[0][0] = f.p[1][1] = 4.0 * m->flux_base * m->flux_base;
@@ -191,7 +186,7 @@ static void anchors(const fo_work *w, const double p[FO_P], const start_record *
     }
 }
 
-/* Starts from the anchors alone if they leave no long gap; returns false if they do. */
+/* Starts from the anchors alone. Returns false if there is a long gap between them. */
 static bool start_from_anchors(fo_work *w, const start_record *r)
 {
     const size_t n = w->per_block;
@@ -234,9 +229,7 @@ bool fo_start(fo_work *w, const double p[FO_P])
     const bool good = room != NULL && numbers != NULL && states != NULL;
     if (good) {
         double *forwards = numbers + n, *backwards = numbers + 2 * n;
-        const double given = fo_inverter_loss(m, p), least = LEAST_LOSS * m->std[FO_P_inverter_hard],
-                     loss = m->voltage_error * (given > least ? given : least),
-                     source = VOLTAGE_SHARE * m->voltage;
+        const double loss = fo_inverter_error(m, p), source = FO_VOLTAGE_SHARE * m->voltage;
         const start_record r = {room, room + n, numbers, room + 2 * n,
                                 (loss * loss + source * source) * LOSS_TIME};
         fo_integrate(w, p, room, room + n, numbers);

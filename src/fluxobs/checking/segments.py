@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
+from ..core.arrays import Array, runs
 from ..errors import FluxobsError
 from ..logs.log import Log
 from ..logs.record import LAGS
@@ -80,8 +80,7 @@ def _bridge_gaps(values: Complex) -> Complex:
         return values
     k, known = np.arange(len(values)), np.flatnonzero(~bad)
     bridged = values.copy()
-    gaps = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(int), [0]]))).reshape(-1, 2)
-    for start, stop in gaps:
+    for start, stop in runs(bad):
         if stop - start <= BRIDGED:
             bridged[start:stop] = np.interp(k[start:stop], known, values[known])
     return bridged

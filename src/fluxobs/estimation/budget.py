@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
+from ..core.arrays import Array, runs
 from ..smoothing.assumptions import ITEMS
 from ..smoothing.record import SHARES
 
@@ -66,7 +66,7 @@ class Budget:
     stretches : list of (float, float)
         Start and end of each stretch that does not fit its surroundings [s].
     contradiction : str
-        The assumption that the log contradicts; empty if there is none.
+        Item of the assumption that the log contradicts, or an empty string.
     """
 
     rows: float = 0.0
@@ -79,8 +79,7 @@ class Budget:
 
     def add_stretches(self, t: Array, doubtful: NDArray[np.bool_]) -> None:
         """Add the stretches of consecutive doubtful rows at times `t`."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], doubtful.astype(int), [0]])))
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
+        for start, end in runs(doubtful):
             first, last = float(t[start]), float(t[end - 1])
             if self.stretches and start == 0 and first - self.stretches[-1][1] < MERGED:
                 first = self.stretches.pop()[0]

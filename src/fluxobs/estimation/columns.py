@@ -102,7 +102,7 @@ def is_position(log: Log, machine: Machine) -> bool:
 
 
 def _compiled(
-    machine: Machine, batch: Aligned, estimates: Estimate
+    machine: Machine, batch: Aligned, estimates: Estimate | SmoothedEstimate
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
     columns: dict[str, NDArray[Any]] = {"t": batch.t}
     for output in in_files(type(estimates)):
@@ -119,17 +119,10 @@ def _smoothed(
     machine: Machine, batch: Aligned, estimates: SmoothedEstimate
 ) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
     assert isinstance(machine, RotatingMachine)
-    columns: dict[str, NDArray[Any]] = {"t": batch.t}
-    for output in in_files(SmoothedEstimate):
-        value = getattr(estimates, output.name)
-        columns |= zip(
-            output.columns(machine.ports), value.T if output.vector else [value], strict=True
-        )
-    valid = columns.pop("valid")
+    columns, valid = _compiled(machine, batch, estimates)
     factor = 1.5 * machine.n_p
-    columns |= derived(machine, estimates, batch.current)
-    columns |= {"torque": factor * estimates.torque, "torque_std": factor * estimates.torque_std}
-    return columns | {"valid": valid}, estimates.valid
+    last = {"torque_std": factor * estimates.torque_std, "valid": columns.pop("valid")}
+    return columns | {"torque": factor * estimates.torque} | last, valid
 
 
 def _immersed(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array
+from ..core.arrays import Array, runs
 from ..core.output import ahead
 from ..logs.time.aligned import Aligned, between, joined, less_lost
 from ..machines import InductionMachine, RotatingMachine
@@ -76,7 +76,6 @@ class Anchored:
     angle: Array
     angle_std: Array
     valid: NDArray[np.bool_]
-    speed_e: Array
 
 
 def forwards(
@@ -90,9 +89,7 @@ def forwards(
 
 
 def _anchored(samples: Aligned, estimates: Estimate) -> Anchored:
-    return Anchored(
-        samples, estimates.theta_e, estimates.theta_e_std, estimates.valid, estimates.speed_e
-    )
+    return Anchored(samples, estimates.theta_e, estimates.theta_e_std, estimates.valid)
 
 
 def _joined(pieces: list[Anchored]) -> Anchored:
@@ -103,7 +100,6 @@ def _joined(pieces: list[Anchored]) -> Anchored:
         np.concatenate([piece.angle for piece in pieces]),
         np.concatenate([piece.angle_std for piece in pieces]),
         np.concatenate([piece.valid for piece in pieces]),
-        np.concatenate([piece.speed_e for piece in pieces]),
     )
 
 
@@ -113,7 +109,6 @@ def _between(piece: Anchored, first: int, last: int) -> Anchored:
         piece.angle[first:last],
         piece.angle_std[first:last],
         piece.valid[first:last],
-        piece.speed_e[first:last],
     )
 
 
@@ -131,12 +126,11 @@ def _filled(values: Array) -> Array:
 
 def _short_gaps_filled(voltage: Array) -> Array:
     """Interpolate short gaps and the ends; the volt-seconds of a longer gap are unknown."""
-    missing = ~np.isfinite(voltage).all(axis=1)
+    missing = np.asarray(~np.isfinite(voltage).all(axis=1))
     if not missing.any():
         return voltage
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(int), [0]])))
     filled = _filled(voltage)
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
+    for start, end in runs(missing):
         if end - start > SHORT_GAP and start > 0 and end < len(voltage):
             filled[start:end] = np.nan
     return filled
@@ -447,7 +441,7 @@ class WholeLog:
             return self._unknown(rows, first, last)
         voltage, std = inverter_loss(model, record.assumed)
         estimates = smoothed_estimate(record, voltage, std)
-        self._add_budget(model, rows, record, estimates, first, last)
+        self._add_budget(rows, record, estimates, first, last)
         doubtful = record.outputs["doubtful"][first:last] > 0
         self.budget.add_stretches(rows.samples.t[first:last], doubtful)
         return self._columns(rows, estimates, first, last)
@@ -490,14 +484,13 @@ class WholeLog:
 
     def _add_budget(
         self,
-        model: SmoothingModel,
         rows: Anchored,
         record: SmoothedRecord,
         estimates: SmoothedEstimate,
         first: int,
         last: int,
     ) -> None:
-        m = model.rows_per_block
+        m = record.model.rows_per_block  # another start may have another usual speed
         begin, end = -(-first // m), min(last // m, len(record.shares))
         if end <= begin:
             return

@@ -194,6 +194,8 @@ class SmoothedRecord:
 
     Attributes
     ----------
+    model : SmoothingModel
+        The model in use.
     assumed : Assumed
         What was learnt, or what was given.
     misfit : float
@@ -207,6 +209,7 @@ class SmoothedRecord:
         Shares of the angle's variance in each block [rad^2].
     """
 
+    model: SmoothingModel
     assumed: Assumed
     misfit: float
     outputs: dict[str, Array]
@@ -254,4 +257,4 @@ def smooth_record(
         float(about[3]),
     )
     outputs = {name: columns[n] for n, name in enumerate(OUTPUTS)}
-    return SmoothedRecord(learnt, float(about[0]), outputs, known > 0, np.asarray(shares))
+    return SmoothedRecord(model, learnt, float(about[0]), outputs, known > 0, np.asarray(shares))

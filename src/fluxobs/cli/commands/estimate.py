@@ -68,9 +68,9 @@ def estimate(
     unknowns: Annotated[
         str,
         typer.Option(
-            help="Constant or slow unknowns to estimate. auto (default): the unknowns that the log "
-            "needs. drift: only the drift of the flux integral. drift with any of resistance, "
-            "inverter, asymmetry: also errors of R_s, of the inverter (dead time, device "
+            help="Constant or slow unknowns to estimate. auto (default): drift, resistance, "
+            "inverter and asymmetry. drift: only the drift of the flux integral. drift with any "
+            "of resistance, inverter, asymmetry: also errors of R_s, of the inverter (dead time, device "
             "drops), and unequal gains of the phases. current-bias or drift,current-bias: use "
             "a slower, general least squares (0.25 ms per row); current-bias alone assumes "
             "that the voltage has no offset."
@@ -80,8 +80,8 @@ def estimate(
         bool,
         typer.Option(
             "--causal",
-            help="Learn resistance, inverter, … only from past samples, as firmware does. Default: "
-            "learn from the whole log first.",
+            help="Estimate and learn only from past samples, as firmware does. Default: estimate "
+            "each row from the record before and behind it.",
         ),
     ] = False,
     prior: PriorOption = None,
@@ -117,15 +117,15 @@ def estimate(
 ) -> None:
     """Estimate flux, position, speed and drift from one recorded log or many.
 
-    Prints a summary. --out writes one row per sample, in SI units and electrical radians: t,
-    flux_alpha, flux_beta, psi_f, theta_e (directly from the flux), theta_e_tracked, speed_e,
-    drift_alpha, drift_beta, theta_e_std, torque, speed_mech, valid; with --truth also
-    theta_e_error. Exit code 3: no row is valid.
+    Prints a summary with the error budget of the position. --out writes one row per sample, in SI
+    units and electrical radians: t, flux_alpha, flux_beta, psi_f, theta_e, speed_e, drift_alpha,
+    drift_beta, resistance, inverter_voltage and torque with their standard deviations, speed_mech,
+    valid; with --truth also theta_e_error. Exit code 3: no row is valid.
 
-    With more unknowns than the drift, --out also writes resistance and inverter_voltage; the
-    standard deviations of resistance, inverter_voltage, psi_f and drift; and a second angle while
-    two angles are possible. For a maglev-2dof, or with current-bias, --out writes flux, position or
-    theta_e, drift and current_bias with their standard deviations, and noise_share and valid.
+    With --causal, --out writes the outputs of the observer: also theta_e_tracked, and a second
+    angle while two angles are possible. For a maglev-2dof, or with current-bias, --out writes flux,
+    position or theta_e, drift and current_bias with their standard deviations, and noise_share and
+    valid.
 
     With many logs, writes a file of estimates per log, and a table with one row per log:
     summary.parquet and summary.csv. The row of a failed log states the reason; the exit code is
