@@ -71,8 +71,8 @@ def estimate(
             help="Constant or slow unknowns to estimate. auto (default): drift, resistance, "
             "inverter and asymmetry. drift: only the drift of the flux integral. drift with any "
             "of resistance, inverter, asymmetry: also errors of R_s, of the inverter (dead time, "
-            "device drops), and unequal gains of the phases. current-bias or drift,current-bias: use "
-            "a slower, general least squares (0.25 ms per row); current-bias alone assumes "
+            "device drops), and unequal gains of the phases. current-bias or drift,current-bias: "
+            "use a slower, general least squares (0.25 ms per row); current-bias alone assumes "
             "that the voltage has no offset."
         ),
     ] = "auto",
