@@ -19,7 +19,7 @@
     NAME(iron_loss)        /* current per induced voltage [A/V]                             */ \
     NAME(L_d)              /* share of the inductance, or of the flux of the current [1]    */ \
     NAME(L_q)                                                                                  \
-    NAME(saturation_d)     /* share of the inductance lost at the rated current [1]         */ \
+    NAME(saturation_d)     /* s: the current leaves 1 / (1 + s |i|/rated) of its flux [1]   */ \
     NAME(saturation_q)                                                                         \
     NAME(psi_f)            /* [Wb]                                                          */ \
     NAME(fifth)            /* harmonics of the magnet flux, shares of the flux [1]          */ \

@@ -12,6 +12,7 @@ enum { N = FO_SMOOTH, DRIFT = 2, PSI = 4, RESISTANCE = 5 };
 #define KNOWN_SHARE 0.1
 /* Rows over which the speed is fitted. */
 #define SPEED_WINDOW 40.0
+#define QUARTER_TURN 1.5707963267948966
 
 size_t fo_rows_per_block(const fo_model *m)
 {
@@ -190,6 +191,36 @@ static void spread_of(const fo_work *w, const fo_assumed *l, const fo_smoothed *
     }
 }
 
+static vec corrected_current(const fo_work *w, const fo_assumed *l, size_t row)
+{
+    const vec measured = w->record.current[row];
+    const vec offset = vec_of(l->p[FO_P_offset_alpha], l->p[FO_P_offset_beta]),
+              gain = vec_of(l->p[FO_P_current_gain_re], l->p[FO_P_current_gain_im]);
+    return minus(minus(measured, offset), product(gain, conjugate(measured)));
+}
+
+/* Without magnets, only the sign of i_d tells both ends of the rotor apart. Where i_d is small, the
+ * neighbour does: the row before, and up to the first row with a current the row behind. */
+static void choose_ends(const fo_work *w, const fo_assumed *l, fo_row *rows)
+{
+    const size_t n = w->record.rows;
+    const double sure = KNOWN_SHARE * w->model->current;
+    size_t first = n;
+    for (size_t k = 0; k < n; k++) {
+        const double i_d = dot(corrected_current(w, l, k), direction_of(rows[k].angle));
+        const bool decided = fabs(i_d) > sure;
+        if (decided && first == n) first = k;
+        if (first == n) continue;
+        const bool flip = decided
+                              ? i_d < 0.0
+                              : fabs(wrapped(rows[k].angle - rows[k - 1].angle)) > QUARTER_TURN;
+        if (flip) rows[k].angle += 2.0 * QUARTER_TURN;
+    }
+    for (size_t k = first == n ? 0 : first; k-- > 0;)
+        if (fabs(wrapped(rows[k].angle - rows[k + 1].angle)) > QUARTER_TURN)
+            rows[k].angle += 2.0 * QUARTER_TURN;
+}
+
 #define MIX(field) ((1.0 - at.share) * a->field + at.share * z->field)
 
 static void write_rows(const fo_work *w, const fo_assumed *l, const fo_smoothed *s, const fo_row *rows,
@@ -197,8 +228,6 @@ static void write_rows(const fo_work *w, const fo_assumed *l, const fo_smoothed 
 {
     const fo_model *m = w->model;
     const size_t n = w->record.rows, sides = s->sides;
-    const bool turns_itself = m->psi > 0.0 || m->L_M > 0.0;
-    double last = 0.0;
     for (size_t k = 0; k < n; k++) {
         const fo_place at = fo_place_of(w, k);
         const size_t next = at.block + 1 < w->blocks ? at.block + 1 : at.block;
@@ -207,20 +236,8 @@ static void write_rows(const fo_work *w, const fo_assumed *l, const fo_smoothed 
         double *to = out->columns + k;
 #define SET(name, value) to[FO_S_##name * n] = (value)
 #define STATE(row) ((1.0 - at.share) * x[(row) * sides] + at.share * y[(row) * sides])
-        const vec measured = w->record.current[k];
-        const vec offset = vec_of(l->p[FO_P_offset_alpha], l->p[FO_P_offset_beta]),
-                  gain = vec_of(l->p[FO_P_current_gain_re], l->p[FO_P_current_gain_im]);
-        const vec i = minus(minus(measured, offset), product(gain, conjugate(measured)));
-        double angle = rows[k].angle;
-        if (!turns_itself) {
-            /* Only the current tells both ends of the rotor apart; near zero the last row does. */
-            const double i_d = dot(i, direction_of(angle));
-            const double sure = KNOWN_SHARE * m->current;
-            const bool flip =
-                fabs(i_d) > sure || k == 0 ? i_d < 0.0 : fabs(wrapped(angle - last)) > 1.5707963267948966;
-            if (flip) angle += 3.141592653589793;
-        }
-        last = angle;
+        const vec i = corrected_current(w, l, k);
+        const double angle = rows[k].angle;
         SET(flux_alpha, rows[k].flux.re);
         SET(flux_beta, rows[k].flux.im);
         SET(flux_alpha_std, sqrt(fmax(MIX(flux[0]), 0.0)));
@@ -292,6 +309,7 @@ bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_a
         for (size_t b = 0; b < w.blocks; b++)
             spread_of(&w, learnt, &s, b, &all[b],
                       out->budget == NULL ? NULL : out->budget + b * FO_BUDGET);
+        if (!(m->psi > 0.0 || m->L_M > 0.0)) choose_ends(&w, learnt, rows);
         write_rows(&w, learnt, &s, rows, all, out);
     }
     free(rows);

@@ -8,6 +8,22 @@ enum { STEPS = 4 };
 /* Largest step [rad]: beyond it the linear prediction is worthless. */
 #define LARGEST_STEP 0.5
 
+/* Most that a current can add to an inductance: below it, `saturation` is negative. */
+#define LEAST_DENOMINATOR 0.4
+
+double fo_unsaturated(const fo_model *m, double saturation, double current)
+{
+    const double below = 1.0 + saturation * fabs(current) / m->current;
+    return 1.0 / (below > LEAST_DENOMINATOR ? below : LEAST_DENOMINATOR);
+}
+
+/* Loss of the share per current [1/A]. */
+static double bend(const fo_model *m, double saturation, double current, double left)
+{
+    const double slope = saturation / m->current * left * left;
+    return current < 0.0 ? -slope : slope;
+}
+
 void fo_relate(const fo_model *m, const double p[FO_P], double psi, vec current, vec rotor,
                fo_relation *at)
 {
@@ -15,13 +31,16 @@ void fo_relate(const fo_model *m, const double p[FO_P], double psi, vec current,
     const double i[2] = {current.re, current.im};
     fo_map_at(&m->map, i, 0.0, &f);
     const double d = 1.0 + p[FO_P_L_d], q = 1.0 + p[m->one_inductance > 0.0 ? FO_P_L_d : FO_P_L_q];
-    const double over = 1.0 / m->current;
-    const double less_d = p[FO_P_saturation_d] * fabs(i[0]) * over,
-                 less_q = p[FO_P_saturation_q] * fabs(i[1]) * over;
+    const double left_d = fo_unsaturated(m, p[FO_P_saturation_d], i[0]),
+                 left_q = fo_unsaturated(m, p[FO_P_saturation_q], i[1]);
+    /* Derivatives of the scales by the current. */
+    const double bent_d = bend(m, p[FO_P_saturation_d], i[0], left_d) * d,
+                 bent_q = bend(m, p[FO_P_saturation_q], i[1], left_q) * q;
     at->map = vec_of(f.flux[0] - m->map.psi, f.flux[1]);
-    at->by_d = vec_of(f.by_d[0] * (d - 2.0 * less_d), f.by_d[1] * q);
-    at->by_q = vec_of(f.by_q[0] * d, f.by_q[1] * (q - 2.0 * less_q));
-    at->flux = vec_of(psi + at->map.re * (d - less_d), at->map.im * (q - less_q));
+    const double scale_d = d * left_d, scale_q = q * left_q;
+    at->by_d = vec_of(f.by_d[0] * scale_d - bent_d * at->map.re, f.by_d[1] * scale_q);
+    at->by_q = vec_of(f.by_q[0] * scale_d, f.by_q[1] * scale_q - bent_q * at->map.im);
+    at->flux = vec_of(psi + at->map.re * scale_d, at->map.im * scale_q);
     const vec second = product(rotor, rotor);
     at->sixth = product(second, product(second, second));
     const vec fifth = times(m->flux_base * p[FO_P_fifth], conjugate(at->sixth)),

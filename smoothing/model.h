@@ -55,6 +55,9 @@ typedef struct {
     double size;      /* length of the auxiliary flux [Wb] */
 } fo_relation;
 
+/* Share of the inductance that a current leaves: 1 / (1 + saturation |i| / rated current). */
+double fo_unsaturated(const fo_model *m, double saturation, double current);
+
 /* `psi` [Wb] is the flux of the magnets or of the rotor. */
 void fo_relate(const fo_model *m, const double p[FO_P], double psi, vec current, vec rotor,
                fo_relation *at);

@@ -232,7 +232,7 @@ static const int summed[] = {
     FO_P_voltage_gain_re, FO_P_voltage_gain_im};
 enum { SUMMED = sizeof summed / sizeof *summed };
 
-static void flux_columns(const fo_model *m, const interval *at, const fo_relation *f,
+static void flux_columns(const fo_model *m, const double p[FO_P], const interval *at, const fo_relation *f,
                          vec direction, vec i, vec flux, double speed, const rotor *c,
                          vec column[FO_P])
 {
@@ -244,10 +244,16 @@ static void flux_columns(const fo_model *m, const interval *at, const fo_relatio
     column[FO_P_current_gain_im] = by_rotor_current(f, times(-1.0, turned(logged)));
     column[FO_P_iron_loss] =
         by_rotor_current(f, times(-speed, turned(product(flux, back))));
-    column[FO_P_L_d] = vec_of(f->map.re, m->one_inductance > 0.0 ? f->map.im : 0.0);
-    column[FO_P_L_q] = vec_of(0.0, f->map.im);
-    column[FO_P_saturation_d] = vec_of(-f->map.re * fabs(i.re) * over, 0.0);
-    column[FO_P_saturation_q] = vec_of(0.0, -f->map.im * fabs(i.im) * over);
+    const double left_d = fo_unsaturated(m, p[FO_P_saturation_d], i.re),
+                 left_q = fo_unsaturated(m, p[FO_P_saturation_q], i.im);
+    const double q = 1.0 + p[m->one_inductance > 0.0 ? FO_P_L_d : FO_P_L_q];
+    column[FO_P_L_d] =
+        vec_of(f->map.re * left_d, m->one_inductance > 0.0 ? f->map.im * left_q : 0.0);
+    column[FO_P_L_q] = vec_of(0.0, f->map.im * left_q);
+    column[FO_P_saturation_d] =
+        vec_of(-f->map.re * (1.0 + p[FO_P_L_d]) * left_d * left_d * fabs(i.re) * over, 0.0);
+    column[FO_P_saturation_q] =
+        vec_of(0.0, -f->map.im * q * left_q * left_q * fabs(i.im) * over);
     column[FO_P_psi_f] = vec_of(1.0, 0.0);
     column[FO_P_fifth] = times(m->flux_base, conjugate(f->sixth));
     column[FO_P_seventh] = times(m->flux_base, f->sixth);
@@ -366,7 +372,7 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
             fo_solve_angle(m, p, psi, i, lambda, &w->angle[k], &direction, &i_dq, &f);
         if (w->columns > 0) {
             volt_second_columns(w, p, &at, volts);
-            flux_columns(m, &at, &f, direction, i_dq, lambda, speed, &c, change);
+            flux_columns(m, p, &at, &f, direction, i_dq, lambda, speed, &c, change);
         }
         if (k > 0 && w->columns > 0)
             for (int n = 0; n < SUMMED; n++)

@@ -18,6 +18,14 @@ from ..errors import FluxobsError, RecordError
 
 Pairs = list[str] | None
 
+
+def _lag(text: str) -> float | str:
+    try:
+        return "auto" if text == "auto" else float(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is neither a number of samples nor auto") from None
+
+
 MachineOption = Annotated[
     Path,
     typer.Option(
@@ -107,11 +115,14 @@ LAYOUT: dict[str, Any] = {
         ),
     ],
     "lag": Annotated[
-        float | None,
+        Any,
         typer.Option(
-            help="Samples by which a row's voltage acts early. 0 (default): the voltage acts from "
-            "its row to the next row; -1: one sample later (the usual computation delay); +1: "
-            "one sample earlier. Fractions are allowed."
+            parser=_lag,
+            metavar="SAMPLES|auto",
+            help="Samples by which a row's voltage acts early. 0: the voltage acts from its row to "
+            "the next row; -1: one sample later (the usual computation delay); +1: one sample "
+            "earlier. Fractions are allowed. auto (default): `estimate` learns whether it is 0 or "
+            "-1; other commands assume 0.",
         ),
     ],
     "held": Annotated[

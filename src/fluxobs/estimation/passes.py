@@ -7,13 +7,17 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from ..core.output import ahead
+from ..core.validation import nearest, number
+from ..errors import FluxobsError
 from ..logs.log import Log
 from ..machines import Machine, RotatingMachine
 from ..observers import AdaptiveObserver, LogObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import Prepared, prepare
-from ..observers.unknowns import ALL, AUTO
+from ..observers.unknowns import ALL, AUTO, PRIORS
+from ..smoothing.assumptions import GIVEN
 from .columns import EstimateRows, rows_of
+from .lag import LAGS
 from .learning import learn
 from .statistics import Statistics
 from .truth import TruthSamples
@@ -21,6 +25,28 @@ from .whole_log import WholeLog
 
 #: Called with the number of finished rows and of all rows; both include the first pass.
 Progress = Callable[[int, int], Any]
+
+
+def check_priors(priors: Mapping[str, float], causal: bool) -> None:
+    """Raise FluxobsError if a standard deviation has an unknown name or no possible value."""
+    for name, std in priors.items():
+        if causal and name in GIVEN:
+            raise FluxobsError(
+                f"prior {name}: the observer of a drive does not use it; omit it, or causal"
+            )
+        if name not in (*PRIORS, *GIVEN):
+            raise FluxobsError(f"prior: unknown {name!r}{nearest(name, (*PRIORS, *GIVEN))}")
+        if not 0 <= number(f"prior {name}", std, "SI") < float("inf"):
+            raise FluxobsError(f"prior {name}={std:g}: must be finite and not negative")
+    if "asymmetry" in priors and "voltage_gain" in priors:
+        raise FluxobsError(
+            "priors asymmetry and voltage_gain are the same quantity: give only one of them"
+        )
+
+
+def adaptive_priors(priors: Mapping[str, float]) -> dict[str, float]:
+    """Return the standard deviations that the observer uses."""
+    return {name: std for name, std in priors.items() if name in PRIORS}
 
 
 @dataclass
@@ -32,6 +58,8 @@ class Passes:
     run : Prepared
     unknowns, memory, priors, automatic, causal
         See :class:`fluxobs.estimation.run.LogRun`.
+    shifts : tuple of int
+        Possible errors of the log's lag [samples].
     state : Any
         State from which the observer starts.
     learnt : Learnt, optional
@@ -49,6 +77,7 @@ class Passes:
     priors: Mapping[str, float]
     automatic: bool
     causal: bool
+    shifts: tuple[int, ...] = (0,)
     state: Any = None
     learnt: Learnt | None = None
     whole: WholeLog | None = None
@@ -80,11 +109,15 @@ class Passes:
         FluxobsError
             The unknowns are not identifiable together on this machine, or a setting cannot work.
         """
+        check_priors(priors, causal)
+        priors = dict(log.layout.priors) | dict(priors)
+        check_priors(priors, False)
         automatic = unknowns == (AUTO,)
         if automatic:
             unknowns = ALL if isinstance(machine, RotatingMachine) else ("drift",)
-        run = prepare(log, machine, unknowns, memory, priors)
-        passes = cls(run, unknowns, memory, priors, automatic, causal)
+        run = prepare(log, machine, unknowns, memory, adaptive_priors(priors))
+        shifts = (0,) if log.layout.lag_stated else LAGS
+        passes = cls(run, unknowns, memory, priors, automatic, causal, shifts)
         passes.start(progress)
         return passes
 
@@ -107,7 +140,7 @@ class Passes:
         if smoothed:
             if isinstance(run.observer, AdaptiveObserver):
                 self.state, self.learnt = learn(run, run.observer, count)
-            self.whole = WholeLog(run, self.state, self.learnt, self.priors, count)
+            self.whole = WholeLog(run, self.state, self.learnt, self.priors, count, self.shifts)
 
     def rows(self, progress: Progress | None = None) -> Iterator[EstimateRows]:
         """Yield the estimates, batch by batch."""
@@ -135,8 +168,10 @@ class Passes:
         """Return the fields of a :class:`~fluxobs.estimation.run.LogRun`, after the last row."""
         run = self.run
         log_observer: LogObserver[Any, Any] = run.observer
+        lag = None if self.whole is None else self.whole.lag()
         return {
-            "log": run.log,
+            "log": run.log if lag is None else run.log.lagged(lag.lag - run.log.layout.lag),
+            "lag": lag,
             "machine": run.machine,
             "observer": run.observer,
             "scales": run.scales,

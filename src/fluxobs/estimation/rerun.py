@@ -11,7 +11,7 @@ from ..logs.time.aligned import Aligned, joined, less_lost
 from ..machines import Machine
 from ..observers.for_log import prepare
 from .columns import EstimateRows, joined_rows
-from .passes import Passes
+from .passes import Passes, adaptive_priors
 
 
 class Again:
@@ -52,7 +52,7 @@ class Again:
         """
         shift = 0.0 if lag is None else lag - self.log.layout.lag
         log = self.log.lagged(shift)
-        run = prepare(log, machine, unknowns, memory, priors or {}, self.scales)
+        run = prepare(log, machine, unknowns, memory, adaptive_priors(priors or {}), self.scales)
         samples = self._aligned(log)
         if run.log.inverter is not None:
             samples = less_lost(samples, run.log.inverter, samples.current[:1])

@@ -12,6 +12,7 @@ from ..observers import AdaptiveObserver, LeastSquaresObserver, SampleCounts
 from ..observers.adaptive import Learnt
 from ..observers.for_log import AnyObserver
 from .budget import Budget
+from .lag import LagDecision
 from .statistics import Statistics
 
 
@@ -44,6 +45,8 @@ class LogRun:
         Whether rows were estimated from the rows before them alone, as in a drive.
     budget : Budget, optional
         Error budget of the position; None if the run was causal or an immersed observer ran.
+    lag : LagDecision, optional
+        Lag that was learnt from the log; None if it was stated or not learnt.
     """
 
     log: Log
@@ -59,6 +62,7 @@ class LogRun:
     automatic: bool
     causal: bool
     budget: Budget | None
+    lag: LagDecision | None
 
     @property
     def rotor(self) -> RotatingMachine:

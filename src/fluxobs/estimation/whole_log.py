@@ -7,7 +7,7 @@ in windows that overlap; its parameters are learnt from segments spread over the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,14 @@ from ..core.arrays import Array, runs
 from ..core.output import ahead
 from ..logs.time.aligned import Aligned, between, joined, less_lost
 from ..machines import InductionMachine, RotatingMachine
+from ..machines.model.flux_map import LinearMap
 from ..machines.model.frames import wrap
 from ..machines.model.inverter import InverterError
 from ..observers import AdaptiveObserver, Estimate, LeastSquaresObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import LEAST_NOISE, Prepared, prepare
 from ..observers.outputs import outputs
-from ..smoothing.assumptions import ITEMS
+from ..smoothing.assumptions import ITEMS, Calibration, with_scale
 from ..smoothing.estimate import VALID_STD, SmoothedEstimate, smoothed_estimate
 from ..smoothing.record import (
     Assumed,
@@ -35,6 +36,7 @@ from ..smoothing.record import (
 from .budget import Budget
 from .columns import EstimateRows, rows_of
 from .course import CONVERGED_MISFIT, Course, Learning, course_of
+from .lag import LEAST_WEIGHT, LagDecision, mixed, shifted, weights_of
 from .statistics import THIN_ROWS, Statistics
 
 #: Rows of a window of a long log, and rows that it shares with each neighbour: at 20 kHz, 13 s and
@@ -55,8 +57,13 @@ SUSPICIOUS_MISFIT = 0.1
 #: row is valid. Of 318 drives with every error at once none has more than 5.4
 #: (benchmarks/whole_log.py); with two phases exchanged, an inductance has 10.
 CONTRADICTION = 6.0
+#: The same for constant inductances of a machine with saliency: the machine saturates, and its
+#: inductances differ from row to row. Of 96 saturated drives with such a file, TODO.
+SATURATED = 2.7
 #: A phase current that equals its extreme this often is clipped, within this share.
 CLIPPED_ROWS, CLIPPED_SHARE = 5, 1e-6
+#: Cost that excludes a lag.
+UNLIKELY = 1e3
 #: Gaps of at most this many voltages are interpolated.
 SHORT_GAP = 2
 #: A current or voltage beyond this multiple of its usual size is implausible.
@@ -223,6 +230,27 @@ def usual_speed(rows: Anchored, anchors: NDArray[np.bool_], sample_time: float) 
     return float(np.percentile(steps, USUAL)) / sample_time if len(steps) else 0.0
 
 
+@dataclass
+class Hypothesis:
+    """A possible error of the log's lag, and what the log teaches if it is true.
+
+    Attributes
+    ----------
+    shift : int
+        [samples].
+    weight : float
+        Probability.
+    course : Course
+    cost : float
+        Negative logarithm of the likelihood.
+    """
+
+    shift: int
+    weight: float = 1.0
+    course: Course = field(default_factory=Course.nothing)
+    cost: float = 0.0
+
+
 class WholeLog:
     """The smoother of a log, after the observer's parameters were learnt.
 
@@ -238,6 +266,8 @@ class WholeLog:
         See :func:`~fluxobs.smoothing.assumptions.prior_stds`.
     count : callable
         Called with the number of rows that a step has processed.
+    shifts : tuple of int
+        Possible errors of the log's lag [samples].
     """
 
     def __init__(
@@ -247,20 +277,54 @@ class WholeLog:
         learnt: Learnt | None,
         priors: Mapping[str, float],
         count: Callable[[int], Any],
+        shifts: tuple[int, ...] = (0,),
     ) -> None:
         assert isinstance(run.machine, RotatingMachine)
         self.run, self.state, self.learnt = run, state, learnt
         self.machine: RotatingMachine = run.machine
         self.priors, self.count = priors, count
+        self.calibration = Calibration.of(priors)
         self.budget = Budget()
-        self.course: Course | None = None
         self.model: SmoothingModel | None = None
+        self.hypotheses = [Hypothesis(shift) for shift in shifts]
+        self.weights: dict[int, float] = {}
+        self._learnt = False
+        self._difference, self._compared = 0.0, 0
 
     @property
     def plain(self) -> LeastSquaresObserver:
         """The plain observer, alone or inside the adaptive one."""
         observer: Any = self.run.observer
         return observer.plain if isinstance(observer, AdaptiveObserver) else observer
+
+    @property
+    def best(self) -> Hypothesis:
+        """The most probable lag."""
+        return self.hypotheses[0]
+
+    @property
+    def course(self) -> Course:
+        """The course of the parameters with the most probable lag."""
+        return self.best.course
+
+    def lag(self) -> LagDecision | None:
+        """Return the lag that was learnt; None if it was given."""
+        if len(self.weights) < 2:
+            return None
+        lag = self.run.log.layout.lag
+        weights = {lag + shift: weight for shift, weight in self.weights.items()}
+        difference = self._difference / self._compared if self._compared else float("nan")
+        return LagDecision(lag + self.best.shift, weights, float(np.sqrt(difference)))
+
+    def _weigh(self) -> None:
+        """Weigh the lags by their costs; the best comes first, improbable ones go."""
+        weights = weights_of([hypothesis.cost for hypothesis in self.hypotheses])
+        for hypothesis, weight in zip(self.hypotheses, weights, strict=True):
+            hypothesis.weight = float(weight)
+        self.hypotheses.sort(key=lambda hypothesis: -hypothesis.weight)
+        self.weights = {hypothesis.shift: hypothesis.weight for hypothesis in self.hypotheses}
+        self.hypotheses = [h for h in self.hypotheses if h.weight > LEAST_WEIGHT]
+        self._learnt = True
 
     def rows(self) -> Iterator[EstimateRows]:
         """Yield the estimates of all rows in order, a window at a time."""
@@ -273,7 +337,7 @@ class WholeLog:
             self.state = state
             buffer.append(piece)
             held += len(piece.valid)
-            while self.course is not None and held >= first + WINDOW_ROWS + OVERLAP_ROWS:
+            while self._learnt and held >= first + WINDOW_ROWS + OVERLAP_ROWS:
                 rows = _joined(buffer)
                 last = first + WINDOW_ROWS
                 yield self._window(_between(rows, 0, last + OVERLAP_ROWS), first, last)
@@ -301,22 +365,21 @@ class WholeLog:
 
     def _learn_segments(self) -> None:
         """Learn the course of the parameters from segments of a long log."""
-        learnings = []
+        learnings: list[list[Learning]] = [[] for _ in self.hypotheses]
         for segment in self._segments():
             self.count(len(segment.valid))
             anchors = anchors_of(segment)
             if anchors.sum() < LEAST_ANCHORS:
                 continue
             model = self._model_for(segment, anchors)
-            record = self._learn(model, segment, anchors)
             time = float(segment.samples.t[len(segment.valid) // 2])
-            learnings.append(Learning(time, record.assumed, record.misfit))
-        if learnings:
-            assert self.model is not None
-            self.course = course_of(self.model, learnings)
-            self.budget.misfit = self.course.misfit
-        else:
-            self.course = Course.nothing()
+            for n, record in enumerate(self._learn_lags(model, segment, anchors)):
+                learnings[n].append(Learning(time, record.assumed, record.misfit))
+        for n, hypothesis in enumerate(self.hypotheses):
+            if self.model is not None and learnings[n]:
+                hypothesis.course = course_of(self.model, learnings[n])
+        self._weigh()
+        self.budget.misfit = self.course.misfit
 
     def _model_for(self, rows: Anchored, anchors: NDArray[np.bool_]) -> SmoothingModel:
         """Return the model of the log; the first record decides the usual speed."""
@@ -334,6 +397,22 @@ class WholeLog:
                 self.priors,
             )
         return self.model
+
+    def _learn_lags(
+        self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]
+    ) -> list[SmoothedRecord]:
+        """Smooth and learn with each lag, and add to the costs."""
+        records = []
+        for hypothesis in self.hypotheses:
+            records.append(self._learn(model, _later(rows, hypothesis.shift), anchors))
+        comparable = len({record.model.rows_per_block for record in records}) == 1
+        best = min(records, key=rank)
+        for hypothesis, record in zip(self.hypotheses, records, strict=True):
+            if comparable:
+                hypothesis.cost += record.cost
+            elif record is not best:  # another start with other blocks fits this lag better
+                hypothesis.cost += UNLIKELY
+        return records
 
     def _samples(self, rows: Anchored, anchors: NDArray[np.bool_]) -> RecordSamples:
         scales, machine = self.run.scales, self.machine
@@ -423,33 +502,53 @@ class WholeLog:
         model = self._model_for(rows, anchors)
         if len(rows.valid) < 2 * model.rows_per_block:
             return self._unknown(rows, first, last)
-        if self.course is None:
-            record = self._learn(model, rows, anchors)
-            self.budget.misfit = record.misfit
-            time = float(rows.samples.t[len(rows.valid) // 2])
-            self.course = course_of(model, [Learning(time, record.assumed, record.misfit)])
+        if not self._learnt:
+            records = self._learn_window(model, rows, anchors)
         else:
             middle = float(rows.samples.t[(first + last) // 2])
-            record = smooth_record(
-                model,
-                self._samples(rows, anchors),
-                self.course.at(middle, model),
-                learning=False,
-            )
+            records = [
+                smooth_record(
+                    model,
+                    self._samples(_later(rows, hypothesis.shift), anchors),
+                    hypothesis.course.at(middle, model),
+                    learning=False,
+                )
+                for hypothesis in self.hypotheses
+            ]
+        weights = [hypothesis.weight for hypothesis in self.hypotheses]
+        record, square = mixed(records[0], list(zip(weights, records, strict=True))[1:])
+        if len(records) > 1:
+            self._difference += square * (last - first)
+            self._compared += last - first
         self.budget.contradiction = contradiction(model, record.assumed)
         if self.budget.contradiction or not record.known.any():
             return self._unknown(rows, first, last)
         voltage, std = inverter_loss(model, record.assumed)
-        estimates = smoothed_estimate(record, voltage, std)
+        estimates = smoothed_estimate(record, voltage, std, self.calibration)
         self._add_budget(rows, record, estimates, first, last)
         doubtful = record.outputs["doubtful"][first:last] > 0
         self.budget.add_stretches(rows.samples.t[first:last], doubtful)
         return self._columns(rows, estimates, first, last)
 
+    def _learn_window(
+        self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]
+    ) -> list[SmoothedRecord]:
+        """Learn from the only window of a short log; return the record of each lag."""
+        time = float(rows.samples.t[len(rows.valid) // 2])
+        records = {}
+        learnt = self._learn_lags(model, rows, anchors)
+        for hypothesis, record in zip(self.hypotheses, learnt, strict=True):
+            hypothesis.course = course_of(model, [Learning(time, record.assumed, record.misfit)])
+            records[hypothesis.shift] = record
+        self._weigh()
+        kept = [records[hypothesis.shift] for hypothesis in self.hypotheses]
+        self.budget.misfit = kept[0].misfit
+        return kept
+
     def parameters(self, statistics: Statistics) -> Learnt | None:
         """Return the learnt parameters, with resistance and magnet flux averaged over the run."""
         model = self.model
-        if model is None or self.course is None or not len(self.course.times):
+        if model is None or not len(self.course.times):
             return self.learnt
         assumed = self.course.at(float(np.mean(self.course.times)), model)
         stds = dict(zip(model.active, np.sqrt(np.diag(assumed.covariance)), strict=True))
@@ -464,7 +563,9 @@ class WholeLog:
 
         offset, offset_std = pair("offset_alpha", "offset_beta")
         asymmetry, asymmetry_std = pair("voltage_gain_re", "voltage_gain_im")
-        inductance, inductance_std = pair("L_d", "L_q")
+        (L_d, L_d_std), (L_q, L_q_std) = (
+            inductance_error(model, assumed, axis, self.calibration) for axis in "dq"
+        )
         psi_f, resistance = model.numbers["psi"], model.numbers["resistance"]
         magnets = self.machine.magnets
         return Learnt(
@@ -478,8 +579,8 @@ class WholeLog:
             offset_std=offset_std,
             asymmetry=asymmetry,
             asymmetry_std=asymmetry_std,
-            inductance_error=inductance,
-            inductance_std=inductance_std,
+            inductance_error=(L_d, L_q),
+            inductance_std=(L_d_std, L_q_std),
         )
 
     def _add_budget(
@@ -535,6 +636,12 @@ class WholeLog:
         return self._columns(rows, estimates, first, last)
 
 
+def _later(rows: Anchored, shift: int) -> Anchored:
+    """Return the rows with the voltages of another lag."""
+    voltage = shifted(rows.samples.voltage, shift)
+    return replace(rows, samples=rows.samples._replace(voltage=voltage))
+
+
 def typical_std(record: SmoothedRecord) -> float:
     """Return the median standard deviation of the position [rad]."""
     return float(np.median(record.outputs["theta_e_std"]))
@@ -549,11 +656,20 @@ def rank(record: SmoothedRecord) -> tuple[bool, float]:
     return (not fits, typical_std(record) if fits else record.misfit)
 
 
+def limit_of(model: SmoothingModel, name: str) -> float:
+    """Return the deviation of an assumption that contradicts its prior, in standard deviations."""
+    constant = not model.numbers["one_inductance"] and model.map["kind"] == LinearMap.code
+    return SATURATED if constant and name in ("L_d", "L_q") else CONTRADICTION
+
+
 def contradiction(model: SmoothingModel, assumed: Assumed) -> str:
     """Return the item of the assumption that contradicts its prior most; empty if none does."""
-    ratios = {name: abs(assumed.deviations[name]) / model.stds[name] for name in model.active}
+    ratios = {
+        name: abs(assumed.deviations[name]) / model.stds[name] / limit_of(model, name)
+        for name in model.active
+    }
     worst = max(ratios, key=lambda name: ratios[name])
-    if not ratios[worst] > CONTRADICTION:
+    if not ratios[worst] > 1:
         return ""
     return next(item.name for item in ITEMS if worst in item.assumptions)
 
@@ -565,3 +681,19 @@ def inverter_loss(model: SmoothingModel, assumed: Assumed) -> tuple[float, float
     at = [n for n, name in enumerate(model.active) if name in names]
     variance = float(assumed.covariance[np.ix_(at, at)].sum()) if at else 0.0
     return value, float(np.sqrt(max(variance, 0.0)))
+
+
+def inductance_error(
+    model: SmoothingModel, assumed: Assumed, axis: str, calibration: Calibration
+) -> tuple[float, float]:
+    """Return the error of L_d or L_q at half the rated current, and its standard deviation [1]."""
+    scale, saturation = f"L_{axis}", f"saturation_{axis}"
+    left = 1 / (1 + assumed.deviations[saturation] / 2)
+    value = (1 + assumed.deviations[scale]) * left
+    slopes = {scale: left, saturation: -value * left / 2}
+    slope = np.array([slopes.get(name, 0.0) for name in model.active])
+    prior = np.array([model.stds[name] for name in model.active]) @ np.abs(slope)
+    std = np.sqrt(slope @ assumed.covariance @ slope)
+    if prior == 0:
+        return value - 1, 0.0
+    return value - 1, float(with_scale(std, value, calibration.ratio, prior))

@@ -25,7 +25,7 @@ from .record import Record, alphabeta_rows
 Source = str | Path | Log | Record | Mapping[str, Any] | tuple[Any, Any]
 
 #: Fields of a layout that are mappings: options add entries to the mappings of a record file.
-_MAPPINGS = ("columns", "scale", "offset", "truth", "unit", "adc")
+_MAPPINGS = ("columns", "scale", "offset", "truth", "unit", "adc", "priors")
 
 Files = list[tuple[Path, list[Table]]]
 

@@ -22,6 +22,9 @@ def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[s
         "sample_time": log.sample_time,
         "frame": log.frame,
         "lag": log.layout.lag,
+        "lag_weights": None
+        if result.lag is None
+        else {f"{lag:g}": weight for lag, weight in result.lag.weights.items()},
         "columns": dict(log.names),
         "unknowns": list(result.unknowns),
         "valid_share": valid / statistics.rows,

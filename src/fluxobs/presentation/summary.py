@@ -30,7 +30,7 @@ def paragraph(result: LogRun, checked: Check | None, truth: TruthFit | None) -> 
     statistics, log = result.statistics, result.log
     opening = (
         f"{statistics.rows} samples, {statistics.rows * log.sample_time:.4g} s at "
-        f"{1 / log.sample_time:.6g} Hz; {lag_in_words(log.layout.lag)}."
+        f"{1 / log.sample_time:.6g} Hz; {lag_in_words(log.layout.lag)}{_learnt_lag(result)}."
     )
     if isinstance(result.observer, ImmersionObserver):
         unknowns = " and ".join(result.observer.immersion.unknowns)
@@ -52,6 +52,21 @@ def paragraph(result: LogRun, checked: Check | None, truth: TruthFit | None) -> 
         *([checked.untold] if checked is not None and checked.untold else []),
     ]
     return " ".join(sentences)
+
+
+def _learnt_lag(result: LogRun) -> str:
+    """Say how sure the learnt lag is."""
+    decision = result.lag
+    if decision is None:
+        return ""
+    if decision.decided:
+        return ", as learnt from the log"
+    weights = " or ".join(f"{lag:+g} ({share:.0%})" for lag, share in decision.weights.items())
+    return (
+        f". The log does not determine the lag: {weights}. The positions differ by "
+        f"{np.degrees(decision.difference):.2g}° rms, which is part of their standard deviation; "
+        f"state --lag if you know it"
+    )
 
 
 def mean_of(result: LogRun, output: str) -> np.ndarray:

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from .. import _smoother
 from ..logs.scales import Scales
@@ -125,6 +128,24 @@ ITEMS = (
     ),
 )
 
+#: Standard deviations that a user can give besides those of the adaptive observer: name → the
+#: assumptions to which they apply, and the unit.
+GIVEN: dict[str, tuple[tuple[str, ...], str]] = {
+    "offset": (("offset_alpha", "offset_beta"), "A"),
+    "lag": (("lag", "delay"), "samples"),
+    "current_gain": (("current_gain_re", "current_gain_im"), "1"),
+    "voltage_gain": (("voltage_gain_re", "voltage_gain_im"), "1"),
+    "iron_loss": (("iron_loss",), "share of the rated current"),
+    "L_d": (("L_d",), "share"),
+    "L_q": (("L_q",), "share"),
+    "saturation": (("saturation_d", "saturation_q"), "1"),
+    "harmonics": (("fifth", "seventh"), "share"),
+    "R_R": (("R_R",), "share"),
+    "L_M": (("L_M",), "share"),
+    "voltage_scale": ((), "1"),
+    "current_scale": ((), "1"),
+}
+
 #: Standard deviation of a lag [samples], see ITEMS.
 LAG_STD = 0.25
 CURRENT_GAIN_STD = ASYMMETRY_STD
@@ -158,7 +179,7 @@ def prior_stds(
         Usual flux [Wb].
     given : mapping, optional
         Standard deviations that replace the defaults: resistance [Ω], inverter [V], asymmetry [1],
-        psi_f [Wb].
+        psi_f [Wb], and those of GIVEN.
     """
     given = given or {}
     rated = machine.rated_current or scales.current
@@ -181,13 +202,51 @@ def prior_stds(
     stds["L_d"] = L_d
     stds["L_q"] = 0.0 if one_inductance(machine) else L_q
     if isinstance(machine, InductionMachine):
-        stds["R_R"], stds["L_M"] = ROTOR_RESISTANCE_SHARE, MAGNETIZING_SHARE
+        share = ROTOR_RESISTANCE_SHARE if machine.R_R_std is None else machine.R_R_std / machine.R_R
+        stds["R_R"], stds["L_M"] = share, MAGNETIZING_SHARE
     elif machine.magnets:
         share = PSI_SHARE if machine.magnet_flux else GUESSED_PSI_SHARE
         psi_f = machine.magnet_flux_std
         stds["psi_f"] = given.get("psi_f", share * flux_base if psi_f is None else psi_f)
         stds["fifth"] = stds["seventh"] = HARMONIC_STD
+    for name, (assumptions, _) in GIVEN.items():
+        if name in given:
+            unit = rated / scales.voltage if name == "iron_loss" else 1.0
+            for assumption in assumptions:
+                if stds[assumption] > 0 or name == "saturation":
+                    stds[assumption] = given[name] * unit
     return stds
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Standard deviations of the scales common to all voltages and to all currents [1].
+
+    They change no angle. A flux is proportional to the voltages, a resistance or an inductance to
+    the ratio.
+    """
+
+    voltage: float
+    current: float
+
+    @classmethod
+    def of(cls, given: Mapping[str, float]) -> Calibration:
+        """Return the given or usual standard deviations."""
+        return cls(
+            given.get("voltage_scale", VOLTAGE_SCALE_STD),
+            given.get("current_scale", CURRENT_SCALE_STD),
+        )
+
+    @property
+    def ratio(self) -> float:
+        """Standard deviation of the scale of a resistance, inductance or torque."""
+        return float(np.hypot(self.voltage, self.current))
+
+
+def with_scale(std: Any, value: Any, scale: float, prior: float = np.inf) -> Any:
+    """Return a standard deviation that contains an unknown scale, at most the prior one."""
+    variance = std**2 + (value * scale) ** 2
+    return np.sqrt(variance / (1 + variance / prior**2)) if prior > 0 else 0.0 * variance
 
 
 def one_inductance(machine: RotatingMachine) -> bool:

@@ -24,6 +24,8 @@ OUTPUTS: tuple[str, ...] = tuple(_smoother.outputs.split())
 #: Fields of fo_model and of fo_map, in the order of the C code.
 MODEL_FIELDS: tuple[str, ...] = tuple(_smoother.model_fields.split())
 MAP_FIELDS: tuple[str, ...] = tuple(_smoother.map_fields.split())
+#: Limit of the correlation of neighbouring innovations.
+MOST_CORRELATION = 0.9
 #: Names of the shares of an angle's variance: the assumptions, then the smoother, then the noise of
 #: the current at the row itself.
 SHARES: tuple[str, ...] = (*NAMES, "smoother", "noise")
@@ -128,6 +130,11 @@ class SmoothingModel:
         return [name for name in NAMES if self.stds[name] > 0]
 
     @property
+    def magnets(self) -> bool:
+        """Whether the machine has magnets."""
+        return self.numbers["psi"] > 0 and self.numbers["L_M"] == 0
+
+    @property
     def rows_per_block(self) -> int:
         """Rows of a block."""
         return int(_smoother.rows_per_block(self.numbers["sample_time"], self.numbers["speed"]))
@@ -201,6 +208,9 @@ class SmoothedRecord:
     misfit : float
         Mean square of the normalised innovations: above 0.3 the estimate did not converge, or the
         model is wrong.
+    cost : float
+        Negative logarithm of the likelihood and of the prior, but for a constant. Innovations that
+        are correlated count as fewer independent ones.
     outputs : dict
         Name → (rows,) array, see smoothing/estimate.h.
     known : (rows,) ndarray of bool
@@ -212,6 +222,7 @@ class SmoothedRecord:
     model: SmoothingModel
     assumed: Assumed
     misfit: float
+    cost: float
     outputs: dict[str, Array]
     known: NDArray[np.bool_]
     shares: Array
@@ -257,4 +268,8 @@ def smooth_record(
         float(about[3]),
     )
     outputs = {name: columns[n] for n, name in enumerate(OUTPUTS)}
-    return SmoothedRecord(model, learnt, float(about[0]), outputs, known > 0, np.asarray(shares))
+    correlation = min(max(float(about[1]), 0.0), MOST_CORRELATION)
+    cost = float(about[2]) * (1 - correlation) / (1 + correlation)
+    return SmoothedRecord(
+        model, learnt, float(about[0]), cost, outputs, known > 0, np.asarray(shares)
+    )

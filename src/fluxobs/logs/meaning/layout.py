@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from ...core.input_files import parse_toml, read_toml
 from ...core.references import beside
-from ...core.validation import Number, Positive, complaints, nearest
+from ...core.validation import NotNegative, Number, Positive, complaints, nearest
 from ...errors import FluxobsError, RecordError
 from ...machines.model.frames import CURRENTS, FRAMES, VOLTAGES, Frame
 from . import units
@@ -55,9 +55,11 @@ class Layout(BaseModel):
         Frame of the currents, if it differs from `frame`: "alphabeta", "abc" or "dq".
     sample_time : float, optional
         Sample time [s]; needed if there is no column t and the file does not state it.
-    lag : float
+    lag : float or "auto"
         Interval over which a row's voltage acts, in samples. With 0, it acts from its row to the
         next; with -1, one sample later; with +1, one sample earlier. Fractions are allowed.
+        "auto" (default): an estimate of every row learns whether it is 0 or -1; everything else
+        uses 0.
     held : bool, optional
         Whether each voltage is constant over its sample, like the mean voltage of an inverter.
         Default: yes if this matters for the machine (R h/L above 0.15) and the lag is a whole
@@ -96,6 +98,9 @@ class Layout(BaseModel):
     align : str
         How to match the rows of the files: "time" (by time stamps; default), "index" (row by row),
         "auto" (by signals that the files have in common).
+    priors : dict
+        Standard deviations of the log's errors, see :func:`fluxobs.estimate`: lag, offset,
+        current_gain, voltage_gain, …
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -119,12 +124,26 @@ class Layout(BaseModel):
     note: str | None = None
     join: list[str] = []
     align: Align = "time"
+    priors: dict[str, NotNegative] = {}
 
     def __init__(self, **fields: Any) -> None:
         try:
             super().__init__(**fields)
         except ValidationError as error:
             raise RecordError(complaints(error, type(self).model_fields, "a record")) from None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _unstated_lag(cls, fields: Any) -> Any:
+        """Drop the lag "auto"."""
+        if isinstance(fields, dict) and fields.get("lag") == "auto":
+            return {name: value for name, value in fields.items() if name != "lag"}
+        return fields
+
+    @property
+    def lag_stated(self) -> bool:
+        """Whether somebody states the lag."""
+        return "lag" in self.model_fields_set
 
     @model_validator(mode="after")
     def _known_channels(self) -> Self:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,12 @@ _MAPPINGS = ("columns", "unit", "adc", "scale", "offset", "truth")
 def record_text(log: Log) -> str:
     """Return the text of a record TOML with all given and guessed fields."""
     layout = log.layout
-    fields = layout.model_dump(exclude_defaults=True, exclude={*_MAPPINGS, "join", "note"})
+    fields = layout.model_dump(
+        exclude_defaults=True, exclude={*_MAPPINGS, "join", "note", "priors"}
+    )
     fields["frame"] = log.frame
-    fields["lag"] = layout.lag
+    if layout.lag_stated:
+        fields["lag"] = layout.lag
     lines = [
         f"# How {comment(log.path.name)} is read: `fluxobs estimate LOG --record THIS.toml`",
         *(f"# {comment(note)}" for note in log.notes),
@@ -29,10 +33,11 @@ def record_text(log: Log) -> str:
     if "t" not in columns and layout.columns.get("t") == NO_COLUMN:
         columns["t"] = NO_COLUMN
     used = {"t", *columns, "udc", *([] if log.true is None else [log.true.channel])}
-    tables = {
+    tables: dict[str, Mapping[str, Any]] = {
         "columns": columns,
         "truth": {} if log.true is None else dict([log.truth or ("", "")]),
     }
+    tables["priors"] = layout.priors
     for name in ("unit", "adc", "scale", "offset"):
         entries = getattr(layout, name)
         tables[name] = {key: entries[key] for key in entries if key in used or len(key) < 6}
