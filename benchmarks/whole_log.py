@@ -1,12 +1,13 @@
 """Simulated drives with every error at once: does the standard deviation of every row hold?
 
 python benchmarks/whole_log.py [--drives 8] [--seed 1] [--machine NAME ...] [--causal]
-    [--unknown-lag]
+    [--unknown-lag] [--file MACHINE]
 
 Each error is present in about half of the drives: offsets, unequal gains, dead time with a random
 knee, R - 40 to + 60 %, magnet flux and inductances ± 25 %, harmonics, iron loss, heating, currents
 late by up to half a sample, clipping, lost samples; courses with stops, reversals, low speed. With
 --unknown-lag, half of the logs have a lag of -1, half have 0, and the estimate is told neither.
+With --file, the machine file is another one, for example without the saturation of the machine.
 """
 
 from __future__ import annotations
@@ -169,12 +170,12 @@ def simulated(machine: str, course: str, drives: int, seed: int, late: bool = Fa
     return found
 
 
-def score(given: tuple[Drive, bool, bool]) -> Score:
+def score(given: tuple[Drive, bool, bool, str | None]) -> Score:
     """Estimate a drive and score it."""
-    drive, causal, late = given
+    drive, causal, late, file = given
     result = fluxobs.estimate(
         (drive.voltage, drive.current),
-        drive.machine,
+        file or drive.machine,
         sample_time=drive.sample_time,
         lag="auto" if late else drive.lag,
         causal=causal,
@@ -216,6 +217,7 @@ def main() -> None:
     parser.add_argument("--machine", nargs="+", choices=MACHINES, default=MACHINES)
     parser.add_argument("--causal", action="store_true")
     parser.add_argument("--unknown-lag", action="store_true")
+    parser.add_argument("--file", choices=MACHINES, help="machine file of all drives")
     options = parser.parse_args()
     heading("Every row of simulated logs with every error at once")
     print(
@@ -234,7 +236,13 @@ def main() -> None:
                 )
             ]
             own = list(
-                pool.map(score, [(drive, options.causal, options.unknown_lag) for drive in drives])
+                pool.map(
+                    score,
+                    [
+                        (drive, options.causal, options.unknown_lag, options.file)
+                        for drive in drives
+                    ],
+                )
             )
             print(line(machine, own), flush=True)
             scores += own

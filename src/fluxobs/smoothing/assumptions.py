@@ -17,7 +17,6 @@ from ..logs.scales import Scales
 from ..machines import InductionMachine, RotatingMachine
 from ..observers.adaptive import (
     ASYMMETRY_STD,
-    OFFSET_SHARE,
     PSI_SHARE,
     default_inverter_std,
     default_resistance_std,
@@ -67,14 +66,14 @@ ITEMS = (
     Item(
         "lag",
         ("lag", "delay"),
-        "a quarter of a sample each for voltages and currents: sampling instants and filters "
-        "of usual drives differ by up to half a sample",
+        "0.15 samples of the voltages, 0.2 of the currents: sampling instants and filters of "
+        "usual drives differ by up to half a sample",
         "find the sampling instants in the drive's timing diagram, and state the lag",
     ),
     Item(
         "current offsets",
         ("offset_alpha", "offset_beta"),
-        "2 % of the rated current: usual sensors without calibration",
+        "1.5 % of the rated current: usual sensors without calibration",
         "record the currents with the bridge off, and subtract their mean",
     ),
     Item(
@@ -92,7 +91,7 @@ ITEMS = (
     Item(
         "iron loss",
         ("iron_loss",),
-        "a current of 3 % of the rated current at the usual voltage: usual no-load loss",
+        "a current of 2 % of the rated current at the usual voltage: usual no-load loss",
         "measure the no-load loss at two speeds",
     ),
     Item(
@@ -117,7 +116,7 @@ ITEMS = (
     Item(
         "harmonics",
         ("fifth", "seventh"),
-        "2 % of the magnet flux each: usual back-EMF waveforms",
+        "1.5 % of the magnet flux each: usual back-EMF waveforms",
         "measure the back-EMF's waveform at no load",
     ),
     Item(
@@ -146,13 +145,15 @@ GIVEN: dict[str, tuple[tuple[str, ...], str]] = {
     "current_scale": ((), "1"),
 }
 
-#: Standard deviation of a lag [samples], see ITEMS.
-LAG_STD = 0.25
+#: Standard deviations of the lag of the voltages and of the delay of the currents [samples].
+LAG_STD, DELAY_STD = 0.15, 0.2
+#: Standard deviation of the offset of a current component, as a share of the rated current.
+OFFSET_SHARE = 0.015
 CURRENT_GAIN_STD = ASYMMETRY_STD
 VOLTAGE_GAIN_STD = 0.005
-IRON_LOSS_SHARE = 0.03
+IRON_LOSS_SHARE = 0.02
 INDUCTANCE_SHARE = 0.1
-HARMONIC_STD = 0.02
+HARMONIC_STD = 0.015
 ROTOR_RESISTANCE_SHARE, MAGNETIZING_SHARE = 0.3, 0.25
 #: Standard deviation of the bend of the inverter's loss over the current [1].
 CURVE_STD = 1.0
@@ -189,7 +190,7 @@ def prior_stds(
     stds["resistance"] = given.get("resistance", default_resistance_std(machine))
     stds["inverter_hard"] = stds["inverter_soft"] = inverter
     stds["inverter_curve"] = CURVE_STD if inverter > 0 else 0.0
-    stds["lag"] = stds["delay"] = LAG_STD
+    stds["lag"], stds["delay"] = LAG_STD, DELAY_STD
     stds["offset_alpha"] = stds["offset_beta"] = OFFSET_SHARE * rated
     stds["current_gain_re"] = stds["current_gain_im"] = CURRENT_GAIN_STD
     asymmetry = given.get("asymmetry", VOLTAGE_GAIN_STD)
