@@ -8,18 +8,10 @@ enum { STEPS = 4 };
 /* Largest step [rad]: beyond it the linear prediction is worthless. */
 #define LARGEST_STEP 0.5
 
-/* Most that a current can add to an inductance: below it, `saturation` is negative. */
-#define LEAST_DENOMINATOR 0.4
-
-double fo_unsaturated(const fo_model *m, double saturation, double current)
-{
-    const double below = 1.0 + saturation * fabs(current) / m->current;
-    return 1.0 / (below > LEAST_DENOMINATOR ? below : LEAST_DENOMINATOR);
-}
-
 /* Loss of the share per current [1/A]. */
 static double bend(const fo_model *m, double saturation, double current, double left)
 {
+    if (saturation == 0.0) return 0.0;
     const double slope = saturation / m->current * left * left;
     return current < 0.0 ? -slope : slope;
 }

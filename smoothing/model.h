@@ -3,6 +3,7 @@
 #ifndef FLUXOBS_MODEL_H
 #define FLUXOBS_MODEL_H
 
+#include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -55,8 +56,16 @@ typedef struct {
     double size;      /* length of the auxiliary flux [Wb] */
 } fo_relation;
 
+/* Least denominator below: `saturation` may be negative. */
+#define FO_LEAST_DENOMINATOR 0.4
+
 /* Share of the inductance that a current leaves: 1 / (1 + saturation |i| / rated current). */
-double fo_unsaturated(const fo_model *m, double saturation, double current);
+static inline double fo_unsaturated(const fo_model *m, double saturation, double current)
+{
+    if (saturation == 0.0) return 1.0;
+    const double below = 1.0 + saturation * fabs(current) / m->current;
+    return 1.0 / (below > FO_LEAST_DENOMINATOR ? below : FO_LEAST_DENOMINATOR);
+}
 
 /* `psi` [Wb] is the flux of the magnets or of the rotor. */
 void fo_relate(const fo_model *m, const double p[FO_P], double psi, vec current, vec rotor,

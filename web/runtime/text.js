@@ -218,9 +218,16 @@ $module("fluxobs.logs.formats.text.parse", ($m) =>
   Object.assign($m, { Ragged, Cells: { of: (...a) => Cells.of(...a) } }),
 );
 
-// A page neither reads ahead nor writes files.
+// A page neither reads ahead nor writes files, and has one thread.
 $module("fluxobs.core.output", ($m) =>
-  Object.assign($m, { ahead: (parts) => parts, check_new: () => null, write_text: () => null }),
+  Object.assign($m, {
+    ahead: (parts) => parts,
+    *in_parallel(work, items) {
+      for (const item of items) yield work(item);
+    },
+    check_new: () => null,
+    write_text: () => null,
+  }),
 );
 $module("fluxobs.core.html", () => {});
 // A page sees only its own files.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, TypeVar
@@ -17,6 +18,7 @@ from ..errors import FluxobsError
 from .locks import is_at, lock
 
 Item = TypeVar("Item")
+Done = TypeVar("Done")
 Schema = dict[str, pl.DataType | type[pl.DataType]]
 
 
@@ -242,3 +244,16 @@ def ahead(items: Iterator[Item]) -> Iterator[Item]:
         while (item := upcoming.result()) is not None:
             upcoming = reader.submit(next, items, None)
             yield item
+
+
+def in_parallel(function: Callable[[Item], Done], items: Iterable[Item]) -> Iterator[Done]:
+    """Yield function(item) in the order of the items; threads work on several items at once."""
+    workers = os.cpu_count() or 1
+    with ThreadPoolExecutor(max_workers=workers) as pool:
+        pending: deque[Future[Done]] = deque()
+        for item in items:
+            pending.append(pool.submit(function, item))
+            if len(pending) > workers:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()

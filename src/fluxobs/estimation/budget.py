@@ -15,11 +15,11 @@ from ..smoothing.record import SHARES
 MERGED = 0.01
 #: Names of the items: those of ITEMS, then what no assumption explains.
 NAMES: tuple[str, ...] = (*(item.name for item in ITEMS), "smoother", "noise")
-#: Matrix that adds the shares of assumptions to those of items.
-_GROUPS = np.array(
-    [[float(share in item.assumptions) for share in SHARES] for item in ITEMS]
-    + [[float(share == name) for share in SHARES] for name in ("smoother", "noise")]
-)
+#: Columns of the shares of assumptions that belong to each item.
+_GROUPS = [
+    *([SHARES.index(name) for name in item.assumptions] for item in ITEMS),
+    *([SHARES.index(name)] for name in ("smoother", "noise")),
+]
 
 
 def item_shares(shares: Array) -> Array:
@@ -28,7 +28,8 @@ def item_shares(shares: Array) -> Array:
     Correlations count for both assumptions by half, so a share can be negative; such a share
     counts as zero.
     """
-    return np.asarray(np.maximum(shares @ _GROUPS.T, 0.0))
+    columns = [shares[:, group].sum(axis=1) for group in _GROUPS]
+    return np.asarray(np.maximum(np.stack(columns, axis=1), 0.0))
 
 
 @dataclass(frozen=True)

@@ -7,24 +7,20 @@ in windows that overlap; its parameters are learnt from segments spread over the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.arrays import Array, runs
-from ..core.output import ahead
-from ..logs.time.aligned import Aligned, between, joined, less_lost
+from ..core.output import in_parallel
+from ..logs.time.aligned import between, less_lost
 from ..machines import InductionMachine, RotatingMachine
-from ..machines.model.flux_map import LinearMap
-from ..machines.model.frames import wrap
-from ..machines.model.inverter import InverterError
-from ..observers import AdaptiveObserver, Estimate, LeastSquaresObserver
+from ..observers import AdaptiveObserver, LeastSquaresObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import LEAST_NOISE, Prepared, prepare
 from ..observers.outputs import outputs
-from ..smoothing.assumptions import ITEMS, Calibration, with_scale
+from ..smoothing.assumptions import Calibration
 from ..smoothing.estimate import VALID_STD, SmoothedEstimate, smoothed_estimate
 from ..smoothing.record import (
     Assumed,
@@ -33,202 +29,65 @@ from ..smoothing.record import (
     SmoothingModel,
     smooth_record,
 )
+from .anchors import (
+    Anchored,
+    anchored,
+    anchors_of,
+    forwards,
+    joined_pieces,
+    later,
+    record_samples,
+    rows_between,
+    usual_speed,
+)
 from .budget import Budget
 from .columns import EstimateRows, rows_of
-from .course import CONVERGED_MISFIT, Course, Learning, course_of
-from .lag import LEAST_WEIGHT, LagDecision, mixed, shifted, weights_of
+from .course import Course, Learning, course_of
+from .fit import contradiction, inductance_error, inverter_loss, rank, typical_std
+from .lag import LEAST_WEIGHT, LagDecision, mixed, weights_of
 from .statistics import THIN_ROWS, Statistics
 
-#: Rows of a window of a long log, and rows that it shares with each neighbour: at 20 kHz, 13 s and
-#: 1.6 s. What lies farther behind a row tells nothing about it.
-WINDOW_ROWS, OVERLAP_ROWS = 262_144, 32_768
+#: Rows of a window of a long log, and rows that it shares with each neighbour: at 20 kHz, 6.6 s
+#: and 0.8 s. What lies farther behind a row tells nothing about it.
+WINDOW_ROWS, OVERLAP_ROWS = 131_072, 16_384
 #: Number of segments of a long log from which parameters are learnt, and their rows.
 SEGMENTS, SEGMENT_ROWS = 8, 65_536
-#: Anchors: if fewer rows than this share are valid, rows with a larger standard deviation anchor
-#: too [rad].
-FEW_ANCHORS, POOR_ANCHOR_STD = 0.05, np.radians(12.0)
 #: Fewest rows that anchor a record.
 LEAST_ANCHORS = 20
-#: Percentile of the speed that counts as usual.
-USUAL = 95
 #: Above this misfit, other starts are tried: a converged record has 0.001 to 0.05.
 SUSPICIOUS_MISFIT = 0.1
-#: A learnt deviation of more prior standard deviations contradicts the machine or the layout: no
-#: row is valid. Of 318 drives with every error at once none has more than 5.4
-#: (benchmarks/whole_log.py); with two phases exchanged, an inductance has 10.
-CONTRADICTION = 6.0
-#: The same for constant inductances of a machine with saliency: the machine saturates, and its
-#: inductances differ from row to row. Of 44 saturated drives with such a file,
-#: 2 have a valid row beyond 10°, 1 beyond 20° (benchmarks/whole_log.py --file).
-SATURATED = 2.7
-#: A phase current that equals its extreme this often is clipped, within this share.
-CLIPPED_ROWS, CLIPPED_SHARE = 5, 1e-6
 #: Cost that excludes a lag.
 UNLIKELY = 1e3
-#: Gaps of at most this many voltages are interpolated.
-SHORT_GAP = 2
-#: A current or voltage beyond this multiple of its usual size is implausible.
-PLAUSIBLE = 10.0
-#: A current is an outlier if it is off the middle of its neighbours by this share of the usual
-#: current, and its neighbours differ by less than half of that.
-OUTLIER_SHARE = 0.25
-#: Directions of the phases.
-PHASES = np.array([[1.0, 0.0], [-0.5, 3**0.5 / 2], [-0.5, -(3**0.5) / 2]])
 
 
 @dataclass(frozen=True, eq=False)
-class Anchored:
-    """Rows of a log with the estimates of an observer."""
+class Window:
+    """Rows of a window; those from `first` to `last` - 1 belong to it, the others overlap."""
 
-    samples: Aligned
-    angle: Array
-    angle_std: Array
-    valid: NDArray[np.bool_]
-
-
-def forwards(
-    run: Prepared, state: Any, first: int | None = None, last: int | None = None
-) -> Iterator[tuple[Any, Anchored]]:
-    """Run the observer forwards over rows of a log; yield its state and the rows."""
-    observer: Any = run.observer
-    for batch in ahead(run.aligned(first, last)):
-        state, estimates = observer.resume(state, batch.voltage, batch.current)
-        yield state, _anchored(batch, estimates)
+    rows: Anchored
+    first: int
+    last: int
 
 
-def _anchored(samples: Aligned, estimates: Estimate) -> Anchored:
-    return Anchored(samples, estimates.theta_e, estimates.theta_e_std, estimates.valid)
+@dataclass(frozen=True, eq=False)
+class SmoothedWindow:
+    """A window with its estimates.
 
-
-def _joined(pieces: list[Anchored]) -> Anchored:
-    if len(pieces) == 1:
-        return pieces[0]
-    return Anchored(
-        joined([piece.samples for piece in pieces]),
-        np.concatenate([piece.angle for piece in pieces]),
-        np.concatenate([piece.angle_std for piece in pieces]),
-        np.concatenate([piece.valid for piece in pieces]),
-    )
-
-
-def _between(piece: Anchored, first: int, last: int) -> Anchored:
-    return Anchored(
-        between(piece.samples, first, last),
-        piece.angle[first:last],
-        piece.angle_std[first:last],
-        piece.valid[first:last],
-    )
-
-
-def _filled(values: Array) -> Array:
-    """Replace rows with a missing component by interpolation."""
-    good = np.isfinite(values).all(axis=1)
-    if good.all():
-        return values
-    rows = np.arange(len(values))
-    if not good.any():
-        return np.zeros(values.shape)
-    columns = [np.interp(rows, rows[good], values[good, n]) for n in range(values.shape[1])]
-    return np.stack(columns, axis=1)
-
-
-def _short_gaps_filled(voltage: Array) -> Array:
-    """Interpolate short gaps and the ends; the volt-seconds of a longer gap are unknown."""
-    missing = np.asarray(~np.isfinite(voltage).all(axis=1))
-    if not missing.any():
-        return voltage
-    filled = _filled(voltage)
-    for start, end in runs(missing):
-        if end - start > SHORT_GAP and start > 0 and end < len(voltage):
-            filled[start:end] = np.nan
-    return filled
-
-
-def _clipped(current: Array) -> NDArray[np.bool_]:
-    """Return whether a phase current or its neighbour lies at the limit of its sensor."""
-    phases = current @ PHASES.T
-    at_limit = np.zeros(len(current), bool)
-    for sign in (1.0, -1.0):
-        for n in range(3):
-            signed = sign * phases[:, n]
-            most = float(signed.max())
-            here = signed >= most * (1 - CLIPPED_SHARE)
-            if most > 0 and here.sum() >= CLIPPED_ROWS:
-                at_limit |= here
-    padded = np.concatenate([[False], at_limit, [False]])
-    return np.asarray(padded[:-2] | at_limit | padded[2:])
-
-
-def _plausible(values: Array, usual: float) -> Array:
-    """Return values with NaN in place of implausible ones."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        size = np.hypot(values[:, 0], values[:, 1])
-    return np.where((size < PLAUSIBLE * usual)[:, None], values, np.nan)
-
-
-def _less_outliers(current: Array, usual: float) -> Array:
-    """Return currents with NaN in place of single rows that contradict both neighbours."""
-    before, here, after = current[:-2], current[1:-1], current[2:]
-    off = here - (before + after) / 2
-    apart = after - before
-    limit = OUTLIER_SHARE * usual
-    wrong = (np.hypot(off[:, 0], off[:, 1]) > limit) & (
-        np.hypot(apart[:, 0], apart[:, 1]) < limit / 2
-    )
-    outlier = np.concatenate([[False], wrong, [False]])
-    return np.where(outlier[:, None], np.nan, current)
-
-
-def record_samples(
-    rows: Anchored,
-    anchors: NDArray[np.bool_],
-    inverter: InverterError | None,
-    usual_current: float,
-    usual_voltage: float,
-) -> RecordSamples:
-    """Return the samples for the smoother.
-
-    Parameters
+    Attributes
     ----------
-    rows : Anchored
-    anchors : (rows,) ndarray of bool
-    inverter : InverterError, optional
-        Its loss is subtracted from the voltages.
-    usual_current, usual_voltage : float
-        [A], [V].
+    window : Window
+    record : SmoothedRecord, optional
+        None if nothing anchors the rows.
+    square : float
+        Mean square of the difference of the positions to another probable lag [rad^2].
+    contradiction : str
+        Item that contradicts its prior, or an empty string.
     """
-    samples = rows.samples
-    measured = _less_outliers(_plausible(samples.current, usual_current), usual_current)
-    finite = np.isfinite(measured).all(axis=1)
-    current = _filled(measured)
-    voltage = _short_gaps_filled(_plausible(samples.voltage, usual_voltage))
-    filled = samples._replace(current=current, voltage=voltage)
-    if inverter is not None:
-        filled = less_lost(filled, inverter, current[:1])
-    at = np.flatnonzero(anchors)
-    turned = np.unwrap(rows.angle[at])
-    return RecordSamples(
-        filled.voltage,
-        current,
-        finite & ~_clipped(current),
-        np.interp(np.arange(len(current)), at, turned),
-        np.where(anchors, rows.angle_std, np.inf),
-    )
 
-
-def anchors_of(rows: Anchored) -> NDArray[np.bool_]:
-    """Return which rows anchor the smoother."""
-    valid = rows.valid & np.isfinite(rows.angle)
-    if valid.sum() < FEW_ANCHORS * len(valid):
-        valid = valid | (rows.angle_std < POOR_ANCHOR_STD)
-    return valid
-
-
-def usual_speed(rows: Anchored, anchors: NDArray[np.bool_], sample_time: float) -> float:
-    """Return the usual electrical speed [rad/s], from the angles of the anchors."""
-    both = anchors[1:] & anchors[:-1]
-    steps = np.abs(wrap(np.diff(rows.angle)))[both]
-    return float(np.percentile(steps, USUAL)) / sample_time if len(steps) else 0.0
+    window: Window
+    record: SmoothedRecord | None = None
+    square: float = 0.0
+    contradiction: str = ""
 
 
 @dataclass
@@ -329,9 +188,18 @@ class WholeLog:
 
     def rows(self) -> Iterator[EstimateRows]:
         """Yield the estimates of all rows in order, a window at a time."""
-        total = len(self.run.log)
-        if total > WINDOW_ROWS + 2 * OVERLAP_ROWS:
+        if len(self.run.log) > WINDOW_ROWS + 2 * OVERLAP_ROWS:
             self._learn_segments()
+        windows = self._windows()
+        if self._learnt and self.model is not None:
+            smoothed = in_parallel(self._smoothed, windows)
+        else:  # the windows learn, one after the other
+            smoothed = (self._smoothed(window) for window in windows)
+        for window in smoothed:
+            yield self._finished(window)
+
+    def _windows(self) -> Iterator[Window]:
+        """Run the observer forwards and yield windows that overlap."""
         buffer: list[Anchored] = []
         held, first = 0, 0  # rows in the buffer; rows of it that belong to the window before
         for state, piece in forwards(self.run, self.state):
@@ -339,14 +207,13 @@ class WholeLog:
             buffer.append(piece)
             held += len(piece.valid)
             while self._learnt and held >= first + WINDOW_ROWS + OVERLAP_ROWS:
-                rows = _joined(buffer)
+                rows = joined_pieces(buffer)
                 last = first + WINDOW_ROWS
-                yield self._window(_between(rows, 0, last + OVERLAP_ROWS), first, last)
+                yield Window(rows_between(rows, 0, last + OVERLAP_ROWS), first, last)
                 start = max(0, last - OVERLAP_ROWS)
-                buffer = [_between(rows, start, held)]
+                buffer = [rows_between(rows, start, held)]
                 held, first = held - start, last - start
-        rows = _joined(buffer)
-        yield self._window(rows, first, held)
+        yield Window(joined_pieces(buffer), first, held)
 
     def _segments(self) -> Iterator[Anchored]:
         """Yield segments that are spread over a long log, with the angles of the observer."""
@@ -362,7 +229,7 @@ class WholeLog:
                 piece
                 for _, piece in forwards(self.run, state, int(start), int(start) + SEGMENT_ROWS)
             ]
-            yield _joined(pieces)
+            yield joined_pieces(pieces)
 
     def _learn_segments(self) -> None:
         """Learn the course of the parameters from segments of a long log."""
@@ -405,7 +272,7 @@ class WholeLog:
         """Smooth and learn with each lag, and add to the costs."""
         records = []
         for hypothesis in self.hypotheses:
-            records.append(self._learn(model, _later(rows, hypothesis.shift), anchors))
+            records.append(self._learn(model, later(rows, hypothesis.shift), anchors))
         comparable = len({record.model.rows_per_block for record in records}) == 1
         best = min(records, key=rank)
         for hypothesis, record in zip(self.hypotheses, records, strict=True):
@@ -493,24 +360,25 @@ class WholeLog:
         estimates = observer.run(samples.voltage, samples.current)
         known = estimates.valid
         length = float(np.median(estimates.psi_f[known])) if known.any() else 0.0
-        return _anchored(rows.samples, estimates), length
+        return anchored(rows.samples, estimates), length
 
-    def _window(self, rows: Anchored, first: int, last: int) -> EstimateRows:
-        """Return the estimates of rows first … last - 1 of a window."""
+    def _smoothed(self, window: Window) -> SmoothedWindow:
+        """Smooth a window."""
+        rows = window.rows
         anchors = anchors_of(rows)
         if anchors.sum() < LEAST_ANCHORS:
-            return self._unknown(rows, first, last)
+            return SmoothedWindow(window)
         model = self._model_for(rows, anchors)
         if len(rows.valid) < 2 * model.rows_per_block:
-            return self._unknown(rows, first, last)
+            return SmoothedWindow(window)
         if not self._learnt:
             records = self._learn_window(model, rows, anchors)
         else:
-            middle = float(rows.samples.t[(first + last) // 2])
+            middle = float(rows.samples.t[(window.first + window.last) // 2])
             records = [
                 smooth_record(
                     model,
-                    self._samples(_later(rows, hypothesis.shift), anchors),
+                    self._samples(later(rows, hypothesis.shift), anchors),
                     hypothesis.course.at(middle, model),
                     learning=False,
                 )
@@ -518,13 +386,19 @@ class WholeLog:
             ]
         weights = [hypothesis.weight for hypothesis in self.hypotheses]
         record, square = mixed(records[0], list(zip(weights, records, strict=True))[1:])
-        if len(records) > 1:
-            self._difference += square * (last - first)
-            self._compared += last - first
-        self.budget.contradiction = contradiction(model, record.assumed)
-        if self.budget.contradiction or not record.known.any():
+        return SmoothedWindow(window, record, square, contradiction(model, record.assumed))
+
+    def _finished(self, smoothed: SmoothedWindow) -> EstimateRows:
+        """Return the estimates of the rows of a window, and add them to the budget."""
+        window, record = smoothed.window, smoothed.record
+        rows, first, last = window.rows, window.first, window.last
+        self.budget.contradiction = self.budget.contradiction or smoothed.contradiction
+        if record is None or smoothed.contradiction or not record.known.any():
             return self._unknown(rows, first, last)
-        voltage, std = inverter_loss(model, record.assumed)
+        if len(self.hypotheses) > 1:
+            self._difference += smoothed.square * (last - first)
+            self._compared += last - first
+        voltage, std = inverter_loss(record.model, record.assumed)
         estimates = smoothed_estimate(record, voltage, std, self.calibration)
         self._add_budget(rows, record, estimates, first, last)
         doubtful = record.outputs["doubtful"][first:last] > 0
@@ -635,66 +509,3 @@ class WholeLog:
             valid=np.zeros(n, bool),
         )
         return self._columns(rows, estimates, first, last)
-
-
-def _later(rows: Anchored, shift: int) -> Anchored:
-    """Return the rows with the voltages of another lag."""
-    voltage = shifted(rows.samples.voltage, shift)
-    return replace(rows, samples=rows.samples._replace(voltage=voltage))
-
-
-def typical_std(record: SmoothedRecord) -> float:
-    """Return the median standard deviation of the position [rad]."""
-    return float(np.median(record.outputs["theta_e_std"]))
-
-
-def rank(record: SmoothedRecord) -> tuple[bool, float]:
-    """Return a key: records that fit come first, then those with small standard deviations.
-
-    A record without an angle fits as well, since its standard deviations contain everything.
-    """
-    fits = record.misfit < CONVERGED_MISFIT
-    return (not fits, typical_std(record) if fits else record.misfit)
-
-
-def limit_of(model: SmoothingModel, name: str) -> float:
-    """Return the deviation of an assumption that contradicts its prior, in standard deviations."""
-    constant = not model.numbers["one_inductance"] and model.map["kind"] == LinearMap.code
-    return SATURATED if constant and name in ("L_d", "L_q") else CONTRADICTION
-
-
-def contradiction(model: SmoothingModel, assumed: Assumed) -> str:
-    """Return the item of the assumption that contradicts its prior most; empty if none does."""
-    ratios = {
-        name: abs(assumed.deviations[name]) / model.stds[name] / limit_of(model, name)
-        for name in model.active
-    }
-    worst = max(ratios, key=lambda name: ratios[name])
-    if not ratios[worst] > 1:
-        return ""
-    return next(item.name for item in ITEMS if worst in item.assumptions)
-
-
-def inverter_loss(model: SmoothingModel, assumed: Assumed) -> tuple[float, float]:
-    """Return the inverter's loss of a phase and its standard deviation [V]."""
-    names = ("inverter_hard", "inverter_soft")
-    value = model.numbers["inverter_voltage"] + sum(assumed.deviations[name] for name in names)
-    at = [n for n, name in enumerate(model.active) if name in names]
-    variance = float(assumed.covariance[np.ix_(at, at)].sum()) if at else 0.0
-    return value, float(np.sqrt(max(variance, 0.0)))
-
-
-def inductance_error(
-    model: SmoothingModel, assumed: Assumed, axis: str, calibration: Calibration
-) -> tuple[float, float]:
-    """Return the error of L_d or L_q at half the rated current, and its standard deviation [1]."""
-    scale, saturation = f"L_{axis}", f"saturation_{axis}"
-    left = 1 / (1 + assumed.deviations[saturation] / 2)
-    value = (1 + assumed.deviations[scale]) * left
-    slopes = {scale: left, saturation: -value * left / 2}
-    slope = np.array([slopes.get(name, 0.0) for name in model.active])
-    prior = np.array([model.stds[name] for name in model.active]) @ np.abs(slope)
-    std = np.sqrt(slope @ assumed.covariance @ slope)
-    if prior == 0:
-        return value - 1, 0.0
-    return value - 1, float(with_scale(std, value, calibration.ratio, prior))

@@ -7,10 +7,10 @@ import numpy as np
 from ..checking.findings import Check
 from ..estimation.columns import is_position
 from ..estimation.course import CONVERGED_MISFIT
+from ..estimation.fit import CONTRADICTION
 from ..estimation.learning import doubtful
 from ..estimation.run import LogRun
 from ..estimation.truth import TruthFit
-from ..estimation.whole_log import CONTRADICTION
 from ..machines import RotatingMachine
 from ..machines.model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver

@@ -1,0 +1,196 @@
+"""Rows of a log with the angles of an observer, prepared for the smoother."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.arrays import Array, runs
+from ..core.output import ahead
+from ..logs.time.aligned import Aligned, between, joined, less_lost
+from ..machines.model.frames import wrap
+from ..machines.model.inverter import InverterError
+from ..observers import Estimate
+from ..observers.for_log import Prepared
+from ..smoothing.record import RecordSamples
+from .lag import shifted
+
+#: Anchors: if fewer rows than this share are valid, rows with a larger standard deviation anchor
+#: too [rad].
+FEW_ANCHORS, POOR_ANCHOR_STD = 0.05, np.radians(12.0)
+#: Percentile of the speed that counts as usual.
+USUAL = 95
+#: A phase current that equals its extreme this often is clipped, within this share.
+CLIPPED_ROWS, CLIPPED_SHARE = 5, 1e-6
+#: Gaps of at most this many voltages are interpolated.
+SHORT_GAP = 2
+#: A current or voltage beyond this multiple of its usual size is implausible.
+PLAUSIBLE = 10.0
+#: A current is an outlier if it is off the middle of its neighbours by this share of the usual
+#: current, and its neighbours differ by less than half of that.
+OUTLIER_SHARE = 0.25
+SIN_120 = 3**0.5 / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Anchored:
+    """Rows of a log with the estimates of an observer."""
+
+    samples: Aligned
+    angle: Array
+    angle_std: Array
+    valid: NDArray[np.bool_]
+
+
+def forwards(
+    run: Prepared, state: Any, first: int | None = None, last: int | None = None
+) -> Iterator[tuple[Any, Anchored]]:
+    """Run the observer forwards over rows of a log; yield its state and the rows."""
+    observer: Any = run.observer
+    for batch in ahead(run.aligned(first, last)):
+        state, estimates = observer.resume(state, batch.voltage, batch.current)
+        yield state, anchored(batch, estimates)
+
+
+def anchored(samples: Aligned, estimates: Estimate) -> Anchored:
+    return Anchored(samples, estimates.theta_e, estimates.theta_e_std, estimates.valid)
+
+
+def joined_pieces(pieces: list[Anchored]) -> Anchored:
+    if len(pieces) == 1:
+        return pieces[0]
+    return Anchored(
+        joined([piece.samples for piece in pieces]),
+        np.concatenate([piece.angle for piece in pieces]),
+        np.concatenate([piece.angle_std for piece in pieces]),
+        np.concatenate([piece.valid for piece in pieces]),
+    )
+
+
+def rows_between(piece: Anchored, first: int, last: int) -> Anchored:
+    return Anchored(
+        between(piece.samples, first, last),
+        piece.angle[first:last],
+        piece.angle_std[first:last],
+        piece.valid[first:last],
+    )
+
+
+def _filled(values: Array) -> Array:
+    """Replace rows with a missing component by interpolation."""
+    good = np.isfinite(values).all(axis=1)
+    if good.all():
+        return values
+    rows = np.arange(len(values))
+    if not good.any():
+        return np.zeros(values.shape)
+    columns = [np.interp(rows, rows[good], values[good, n]) for n in range(values.shape[1])]
+    return np.stack(columns, axis=1)
+
+
+def _short_gaps_filled(voltage: Array) -> Array:
+    """Interpolate short gaps and the ends; the volt-seconds of a longer gap are unknown."""
+    missing = np.asarray(~np.isfinite(voltage).all(axis=1))
+    if not missing.any():
+        return voltage
+    filled = _filled(voltage)
+    for start, end in runs(missing):
+        if end - start > SHORT_GAP and start > 0 and end < len(voltage):
+            filled[start:end] = np.nan
+    return filled
+
+
+def _clipped(current: Array) -> NDArray[np.bool_]:
+    """Return whether a phase current or its neighbour lies at the limit of its sensor."""
+    alpha, beta = current[:, 0], current[:, 1]
+    at_limit = np.zeros(len(current), bool)
+    for phase in (alpha, -alpha / 2 + SIN_120 * beta, -alpha / 2 - SIN_120 * beta):
+        for signed in (phase, -phase):
+            most = float(signed.max())
+            here = signed >= most * (1 - CLIPPED_SHARE)
+            if most > 0 and here.sum() >= CLIPPED_ROWS:
+                at_limit |= here
+    padded = np.concatenate([[False], at_limit, [False]])
+    return np.asarray(padded[:-2] | at_limit | padded[2:])
+
+
+def _plausible(values: Array, usual: float) -> Array:
+    """Return values with NaN in place of implausible ones."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.hypot(values[:, 0], values[:, 1])
+    return np.where((size < PLAUSIBLE * usual)[:, None], values, np.nan)
+
+
+def _less_outliers(current: Array, usual: float) -> Array:
+    """Return currents with NaN in place of single rows that contradict both neighbours."""
+    before, here, after = current[:-2], current[1:-1], current[2:]
+    off = here - (before + after) / 2
+    apart = after - before
+    limit = OUTLIER_SHARE * usual
+    wrong = (np.hypot(off[:, 0], off[:, 1]) > limit) & (
+        np.hypot(apart[:, 0], apart[:, 1]) < limit / 2
+    )
+    outlier = np.concatenate([[False], wrong, [False]])
+    return np.where(outlier[:, None], np.nan, current)
+
+
+def record_samples(
+    rows: Anchored,
+    anchors: NDArray[np.bool_],
+    inverter: InverterError | None,
+    usual_current: float,
+    usual_voltage: float,
+) -> RecordSamples:
+    """Return the samples for the smoother.
+
+    Parameters
+    ----------
+    rows : Anchored
+    anchors : (rows,) ndarray of bool
+    inverter : InverterError, optional
+        Its loss is subtracted from the voltages.
+    usual_current, usual_voltage : float
+        [A], [V].
+    """
+    samples = rows.samples
+    measured = _less_outliers(_plausible(samples.current, usual_current), usual_current)
+    finite = np.isfinite(measured).all(axis=1)
+    current = _filled(measured)
+    voltage = _short_gaps_filled(_plausible(samples.voltage, usual_voltage))
+    filled = samples._replace(current=current, voltage=voltage)
+    if inverter is not None:
+        filled = less_lost(filled, inverter, current[:1])
+    at = np.flatnonzero(anchors)
+    turned = np.unwrap(rows.angle[at])
+    return RecordSamples(
+        filled.voltage,
+        current,
+        finite & ~_clipped(current),
+        np.interp(np.arange(len(current)), at, turned),
+        np.where(anchors, rows.angle_std, np.inf),
+    )
+
+
+def anchors_of(rows: Anchored) -> NDArray[np.bool_]:
+    """Return which rows anchor the smoother."""
+    valid = rows.valid & np.isfinite(rows.angle)
+    if valid.sum() < FEW_ANCHORS * len(valid):
+        valid = valid | (rows.angle_std < POOR_ANCHOR_STD)
+    return valid
+
+
+def usual_speed(rows: Anchored, anchors: NDArray[np.bool_], sample_time: float) -> float:
+    """Return the usual electrical speed [rad/s], from the angles of the anchors."""
+    both = anchors[1:] & anchors[:-1]
+    steps = np.abs(wrap(np.diff(rows.angle)))[both]
+    return float(np.percentile(steps, USUAL)) / sample_time if len(steps) else 0.0
+
+
+def later(rows: Anchored, shift: int) -> Anchored:
+    """Return the rows with the voltages of another lag."""
+    voltage = shifted(rows.samples.voltage, shift)
+    return replace(rows, samples=rows.samples._replace(voltage=voltage))
