@@ -79,7 +79,7 @@ nb::tuple estimate(const Column &numbers, const Column &std, int kind, const Col
 #undef FIND
     const std::size_t blocks = rows / fo_block_rows(sample_time, speed);
     Numbers p = room_for(FO_P), posterior = room_for(active * active), about = room_for(FO_ABOUT),
-            columns = room_for(FO_S * rows), budget = room_for(blocks * FO_BUDGET);
+            columns = room_for(FO_S * rows), budget = room_for(blocks * FO_QUANTITIES * FO_BUDGET);
     std::unique_ptr<std::uint8_t[]> known(new std::uint8_t[rows]);
     std::copy_n(start.data(), static_cast<std::size_t>(FO_P), p.get());
     std::copy_n(covariance.data(), active * active, posterior.get());
@@ -94,7 +94,7 @@ nb::tuple estimate(const Column &numbers, const Column &std, int kind, const Col
     return nb::make_tuple(owned(std::move(p), {FO_P}), owned(std::move(posterior), {active, active}),
                           owned(std::move(about), {FO_ABOUT}),
                           owned(std::move(columns), {FO_S, rows}), owned(std::move(known), {rows}),
-                          owned(std::move(budget), {blocks, FO_BUDGET}));
+                          owned(std::move(budget), {blocks, FO_QUANTITIES, FO_BUDGET}));
 }
 
 }  // namespace

@@ -29,7 +29,8 @@ typedef struct {
 } fo_arrays;
 
 /* `p`: FO_P, `covariance`: active * active, `about`: FO_ABOUT; where learning starts, and results.
- * `columns`: FO_S * rows, `known`: rows, `budget`: blocks * FO_BUDGET; results. 0: no memory. */
+ * `columns`: FO_S * rows, `known`: rows, `budget`: blocks * FO_QUANTITIES *
+ * FO_BUDGET; results. 0: no memory. */
 int fo_estimate_arrays(const fo_arrays *in, double *p, double *covariance, double *about,
                        double *columns, uint8_t *known, double *budget);
 

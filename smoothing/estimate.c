@@ -10,8 +10,6 @@ enum { N = FO_SMOOTH, DRIFT = 2, PSI = 4, RESISTANCE = 5 };
 
 /* A row is known if its auxiliary flux has this share of the usual flux. */
 #define KNOWN_SHARE 0.1
-/* Rows over which the speed is fitted. */
-#define SPEED_WINDOW 40.0
 #define QUARTER_TURN 1.5707963267948966
 
 size_t fo_rows_per_block(const fo_model *m)
@@ -86,15 +84,29 @@ static void release(fo_work *w, fo_smoothed *s)
     free(s->room.work);
 }
 
-/* Derivatives of the angle of a block by the assumptions. */
-static void angle_columns(const fo_work *w, const fo_smoothed *s, size_t b, double *column)
+/* Turns the derivatives of the relation by the assumptions into those of the angle. */
+static void complete_angle_columns(fo_work *w, const fo_smoothed *s)
 {
-    const double *x = s->room.state + b * N * s->sides;
-    const fo_block_facts *about = &w->about[b];
+    for (size_t b = 0; b < w->blocks; b++) {
+        const double *x = s->room.state + b * N * s->sides;
+        const fo_block_facts *about = &w->about[b];
+        for (size_t j = 0; j < w->columns; j++)
+            w->across[b * w->columns + j] += about->across.re * x[1 + j] +
+                                             about->across.im * x[s->sides + 1 + j] +
+                                             about->across_psi * x[PSI * s->sides + 1 + j];
+    }
+}
+
+/* Derivatives of the angle at this many rows from the middle of a block. */
+static void angle_columns_at(const fo_work *w, size_t b, double rows, double *column)
+{
+    const double place = clamp((double)b + rows / (double)w->per_block, 0.0,
+                               (double)(w->blocks - 1));
+    const size_t low = (size_t)place, high = low + 1 < w->blocks ? low + 1 : low;
+    const double share = place - (double)low;
     for (size_t j = 0; j < w->columns; j++)
-        column[j] = w->across[b * w->columns + j] + about->across.re * x[1 + j] +
-                    about->across.im * x[s->sides + 1 + j] +
-                    about->across_psi * x[PSI * s->sides + 1 + j];
+        column[j] = (1.0 - share) * w->across[low * w->columns + j] +
+                    share * w->across[high * w->columns + j];
 }
 
 static void set_innovations(const fo_work *w, const fo_smoothed *s, spread *all, double *misfit)
@@ -107,9 +119,26 @@ static void set_innovations(const fo_work *w, const fo_smoothed *s, spread *all,
     }
 }
 
-static double squares(const fo_work *w, const fo_assumed *l, const double *x)
+/* Variance of a quantity with these derivatives; adds `weight` times the shares. */
+static double assumed_variance(const fo_work *w, const fo_assumed *l, const double *column,
+                               double weight, double *shares)
 {
-    return fo_form(l->covariance, (int)w->columns, x, x);
+    const size_t P = w->columns;
+    double sum = 0.0;
+    for (size_t i = 0; i < P; i++) {
+        double row = 0.0;
+        for (size_t j = 0; j < P; j++) row += l->covariance[i * P + j] * column[j];
+        sum += column[i] * row;
+        if (shares != NULL) shares[w->active[i]] += weight * column[i] * row;
+    }
+    return sum;
+}
+
+static void add_rest(double *shares, double smoother, double noise)
+{
+    if (shares == NULL) return;
+    shares[FO_BUDGET_SMOOTHER] += smoother;
+    shares[FO_BUDGET_NOISE] += noise;
 }
 
 static void spread_of(const fo_work *w, const fo_assumed *l, const fo_smoothed *s, size_t b,
@@ -119,42 +148,32 @@ static void spread_of(const fo_work *w, const fo_assumed *l, const fo_smoothed *
     const fo_block_facts *about = &w->about[b];
     const size_t P = w->columns, sides = s->sides;
     const double *x = s->room.state + b * N * sides, *c = s->room.covariance + b * N * N;
-    double angle[FO_P], column[FO_P], other[FO_P], scaled[FO_P];
+    double column[FO_P], other[FO_P];
     const double h[3] = {about->across.re, about->across.im, about->across_psi};
-    static const int of[3] = {0, 1, PSI};
+    static const int state[3] = {0, 1, PSI};
     double filter = 0.0;
     for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++) filter += h[i] * h[k] * c[of[i] * N + of[k]];
+        for (int k = 0; k < 3; k++) filter += h[i] * h[k] * c[state[i] * N + state[k]];
     filter *= l->filter_scale;
-    angle_columns(w, s, b, angle);
-    const double assumed = squares(w, l, angle);
-    out->angle = filter + assumed;
+    double *of[FO_QUANTITIES];
+    for (int n = 0; n < FO_QUANTITIES; n++)
+        of[n] = budget == NULL ? NULL : budget + (size_t)n * FO_BUDGET;
+    if (budget != NULL) memset(budget, 0, FO_QUANTITIES * FO_BUDGET * sizeof *budget);
+    const double *angle = w->across + b * P;
+    out->angle = filter + assumed_variance(w, l, angle, 1.0, of[FO_OF_ANGLE]);
     out->noise = about->across_noise;
-    if (budget != NULL) {
-        memset(budget, 0, FO_BUDGET * sizeof *budget);
-        for (size_t i = 0; i < P; i++) {
-            double row = 0.0;
-            for (size_t j = 0; j < P; j++) row += l->covariance[i * P + j] * angle[j];
-            budget[w->active[i]] = angle[i] * row;
-        }
-        budget[FO_BUDGET_SMOOTHER] = filter;
-        budget[FO_BUDGET_NOISE] = out->noise;
-    }
-    /* Speed: change of the angle's error from the block before to the block after. */
-    const size_t before = b > 0 ? b - 1 : b, after = b + 1 < w->blocks ? b + 1 : b;
-    const double T = m->sample_time * (double)w->per_block;
-    out->speed = 0.0;
-    if (after > before) {
-        angle_columns(w, s, before, column);
-        angle_columns(w, s, after, other);
-        for (size_t j = 0; j < P; j++)
-            scaled[j] = (other[j] - column[j]) / (T * (double)(after - before));
-        out->speed = squares(w, l, scaled);
-    }
-    const double window = SPEED_WINDOW * m->sample_time;
-    out->speed += 2.0 * out->noise / (window * window) +
-                  l->filter_scale * dot(about->across, about->across) *
-                      fo_flux_walk(w, l->p, b) / window;
+    add_rest(of[FO_OF_ANGLE], filter, out->noise);
+    /* The speed is the difference of the angles FO_SPEED_ROWS before and behind. */
+    const double window = 2.0 * FO_SPEED_ROWS * m->sample_time;
+    angle_columns_at(w, b, -(double)FO_SPEED_ROWS, column);
+    angle_columns_at(w, b, FO_SPEED_ROWS, other);
+    for (size_t j = 0; j < P; j++) column[j] = (other[j] - column[j]) / window;
+    out->speed = assumed_variance(w, l, column, 1.0, of[FO_OF_SPEED]);
+    const double speed_noise = 2.0 * out->noise / (window * window),
+                 speed_walk = l->filter_scale * dot(about->across, about->across) *
+                              fo_flux_walk(w, l->p, b) / window;
+    out->speed += speed_noise + speed_walk;
+    add_rest(of[FO_OF_SPEED], speed_walk, speed_noise);
     /* Flux and torque. The torque is λ × i. */
     const vec i = about->current_still;
     for (int n = 0; n < 2; n++) {
@@ -162,7 +181,9 @@ static void spread_of(const fo_work *w, const fo_assumed *l, const fo_smoothed *
             const vec total = w->total[b * P + j];
             column[j] = (n == 0 ? total.re : total.im) + x[(size_t)n * sides + 1 + j];
         }
-        out->flux[n] = l->filter_scale * c[n * N + n] + squares(w, l, column);
+        const double walk = l->filter_scale * c[n * N + n];
+        out->flux[n] = walk + assumed_variance(w, l, column, 0.5, of[FO_OF_FLUX]);
+        add_rest(of[FO_OF_FLUX], 0.5 * walk, 0.0);
     }
     for (size_t j = 0; j < P; j++) {
         const vec total = w->total[b * P + j];
@@ -178,16 +199,19 @@ static void spread_of(const fo_work *w, const fo_assumed *l, const fo_smoothed *
         column[j] = flux.re * i.im - flux.im * i.re + about->flux.re * current.im -
                     about->flux.im * current.re;
     }
-    out->torque = squares(w, l, column) +
-                  l->filter_scale * (c[0] * i.im * i.im - 2.0 * c[1] * i.re * i.im +
-                                     c[N + 1] * i.re * i.re);
+    const double torque_walk =
+        l->filter_scale *
+        (c[0] * i.im * i.im - 2.0 * c[1] * i.re * i.im + c[N + 1] * i.re * i.re);
+    out->torque = torque_walk + assumed_variance(w, l, column, 1.0, of[FO_OF_TORQUE]);
+    add_rest(of[FO_OF_TORQUE], torque_walk, 0.0);
     /* Slow states and what they share with the assumptions. */
     const int slow[3] = {PSI, RESISTANCE, DRIFT}, with[3] = {FO_P_psi_f, FO_P_resistance, -1};
     double *const to[3] = {&out->psi, &out->resistance, &out->drift};
     for (int n = 0; n < 3; n++) {
         for (size_t j = 0; j < P; j++)
             column[j] = x[(size_t)slow[n] * sides + 1 + j] + (w->active[j] == with[n] ? 1.0 : 0.0);
-        *to[n] = l->filter_scale * c[slow[n] * N + slow[n]] + squares(w, l, column);
+        *to[n] = l->filter_scale * c[slow[n] * N + slow[n]] +
+                 assumed_variance(w, l, column, 0.0, NULL);
     }
 }
 
@@ -305,10 +329,11 @@ bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_a
         w.columns = 0; /* the derivatives of the last pass stay */
         fo_linearise(&w, learnt->p, rows);
         w.columns = columns;
+        complete_angle_columns(&w, &s);
         set_innovations(&w, &s, all, w.noise);
         for (size_t b = 0; b < w.blocks; b++)
             spread_of(&w, learnt, &s, b, &all[b],
-                      out->budget == NULL ? NULL : out->budget + b * FO_BUDGET);
+                      out->budget == NULL ? NULL : out->budget + b * FO_QUANTITIES * FO_BUDGET);
         if (!(m->psi > 0.0 || m->L_M > 0.0)) choose_ends(&w, learnt, rows);
         write_rows(&w, learnt, &s, rows, all, out);
     }

@@ -35,14 +35,17 @@ extern "C" {
 enum { FO_SMOOTHED_FIELDS(FO_SMOOTHED_INDEX) FO_S };
 #undef FO_SMOOTHED_INDEX
 
-/* Variance of the angle of a block [rad^2]: a share of each assumption, then the smoother's, then
- * the noise of the current at the row itself. */
+/* Quantities of a block with a budget: angle [rad], speed [rad/s], a component of the flux [Wb],
+ * flux × current [W s]. */
+enum { FO_OF_ANGLE, FO_OF_SPEED, FO_OF_FLUX, FO_OF_TORQUE, FO_QUANTITIES };
+/* Variance of a quantity: a share of each assumption, then the smoother's, then that of the noise
+ * of the current at the row itself. */
 enum { FO_BUDGET_SMOOTHER = FO_P, FO_BUDGET_NOISE, FO_BUDGET };
 
 typedef struct {
     double *columns;  /* FO_S * rows, column by column */
     uint8_t *known;   /* rows: measured, long enough, and fits */
-    double *budget;   /* blocks * FO_BUDGET, or null */
+    double *budget;   /* blocks * FO_QUANTITIES * FO_BUDGET, or null */
 } fo_estimates;
 
 /* Rows of a block of a log of this model. */

@@ -11,8 +11,6 @@
 #define BEND 0.15
 /* The bend has a slope even without a loss: this share of the loss's prior. */
 #define LEAST_BEND 0.3
-/* Rows on each side from which the speed is fitted. */
-enum { SPEED_ROWS = 20 };
 /* A cage's flux below this share of its rated flux does not tell the angle. */
 #define LEAST_ROTOR_FLUX 0.3
 
@@ -319,8 +317,8 @@ void fo_fit_speed(fo_work *w)
     for (size_t k = 1; k < n; k++)
         turn[k] = turn[k - 1] + wrapped(w->angle[k] - w->angle[k - 1]);
     for (size_t k = 0; k < n; k++) {
-        const size_t low = k > SPEED_ROWS ? k - SPEED_ROWS : 0,
-                     high = k + SPEED_ROWS < n ? k + SPEED_ROWS : n - 1;
+        const size_t low = k > FO_SPEED_ROWS ? k - FO_SPEED_ROWS : 0,
+                     high = k + FO_SPEED_ROWS < n ? k + FO_SPEED_ROWS : n - 1;
         w->speed[k] =
             (turn[high] - turn[low]) / ((double)(high - low) * w->model->sample_time);
     }

@@ -10,6 +10,9 @@
 enum { FO_LONGEST_BLOCK = 16 };
 #define FO_BLOCK_ANGLE 0.35
 
+/* Rows on each side from which the speed is fitted. */
+enum { FO_SPEED_ROWS = 20 };
+
 typedef struct {
     size_t rows;
     const vec *voltage;       /* mean over the interval that ends at the row [V]; NaN: unknown */

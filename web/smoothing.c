@@ -13,7 +13,7 @@ const char *EXPORT(smoothing_names)(int of)
 }
 uint32_t EXPORT(smoothing_size)(int of)
 {
-    static const uint32_t sizes[] = {FO_P, FO_ABOUT, FO_S, FO_BUDGET};
+    static const uint32_t sizes[] = {FO_P, FO_ABOUT, FO_S, FO_BUDGET, FO_QUANTITIES};
     return sizes[of];
 }
 uint32_t EXPORT(block_rows)(double sample_time, double speed)

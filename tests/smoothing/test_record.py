@@ -11,6 +11,7 @@ from fluxobs.logs.scales import Scales
 from fluxobs.machines.model.frames import wrap
 from fluxobs.smoothing.assumptions import ITEMS, NAMES
 from fluxobs.smoothing.record import (
+    QUANTITIES,
     SHARES,
     Assumed,
     RecordSamples,
@@ -60,6 +61,34 @@ def alone(model, name):
     return Assumed(dict.fromkeys(NAMES, 0.0), np.diag(variance), 1.0)
 
 
+def by_block(model, values):
+    m = model.rows_per_block
+    return values[: len(values) // m * m].reshape(-1, m).mean(axis=1)
+
+
+def run_again(model, record, name):
+    """Return the shares of one assumption, and the changes of the outputs if it is moved."""
+    start = alone(model, name)
+    shares = smooth_record(model, record, start, learning=False).shares[..., SHARES.index(name)]
+    step = 0.02 * model.stds[name]
+    ends = [
+        smooth_record(
+            model, record, start.with_deviation(name, sign * step), learning=False
+        ).outputs
+        for sign in (1, -1)
+    ]
+    scale = model.stds[name] / step / 2
+    moved = {key: scale * (ends[0][key] - ends[1][key]) for key in ("torque", "speed_e")}
+    moved["flux"] = np.hypot(
+        *(scale * (ends[0][key] - ends[1][key]) for key in ("flux_alpha", "flux_beta"))
+    ) / np.sqrt(2)
+    moved["theta_e"] = scale * wrap(ends[0]["theta_e"] - ends[1]["theta_e"])
+    blocks = {key: by_block(model, value) for key, value in moved.items()}
+    turning = np.abs(by_block(model, SPEED)) > 100  # at rest nothing is linear
+    turning[-2:] = False  # the last block has fewer rows behind it
+    return shares, blocks, turning
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -68,27 +97,28 @@ def alone(model, name):
     ],
 )
 def test_a_share_is_what_running_again_gives(model, record, name):
-    start = alone(model, name)
-    share = smooth_record(model, record, start, learning=False).shares[:, SHARES.index(name)]
-    step = 0.02 * model.stds[name]
-    angles = [
-        np.unwrap(
-            smooth_record(
-                model, record, start.with_deviation(name, sign * step), learning=False
-            ).outputs["theta_e"]
-        )
-        for sign in (1, -1)
-    ]
-    again = wrap(angles[0] - angles[1]) / 2 * model.stds[name] / step
-    m = model.rows_per_block
-    blocks = again[: len(share) * m].reshape(-1, m).mean(axis=1)
-    turning = np.abs(SPEED[m // 2 :: m][: len(blocks)]) > 100  # at rest nothing is linear
-    turning[-2:] = False  # the last block has fewer rows behind it
-    size = np.sqrt(np.mean(blocks**2))
+    shares, blocks, turning = run_again(model, record, name)
     # The smoother cancels most of an offset; what remains is known to 0.15°.
-    np.testing.assert_allclose(
-        np.sqrt(share)[turning], np.abs(blocks)[turning], atol=0.05 * size + 2.5e-3
-    )
+    # A block's flux is that of its end.
+    least = {"theta_e": 2.5e-3, "flux": 2e-2 * SERVO.psi_f, "torque": 2e-2 * SERVO.psi_f * 8}
+    for quantity, smallest in least.items():
+        share = np.sqrt(shares[:, QUANTITIES.index(quantity)])
+        size = np.sqrt(np.mean(blocks[quantity] ** 2))
+        np.testing.assert_allclose(
+            share[turning],
+            np.abs(blocks[quantity][: len(share)][turning]),
+            atol=0.05 * size + smallest,
+            err_msg=quantity,
+        )
+
+
+def test_the_budget_of_the_speed_is_what_running_again_gives(model, record):
+    """Harmonics and unequal gains modulate the speed."""
+    for name in ("fifth", "current_gain_re"):
+        shares, blocks, turning = run_again(model, record, name)
+        share = shares[:, QUANTITIES.index("speed_e")][turning]
+        moved = blocks["speed_e"][: len(shares)][turning]
+        assert np.sqrt(share.mean()) == pytest.approx(np.sqrt(np.mean(moved**2)), rel=0.3)
 
 
 def test_assumptions_of_the_items_are_those_of_the_c_code():

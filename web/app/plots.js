@@ -259,7 +259,8 @@ function columns(u, n) {
   ctx.restore();
 }
 
-// The panels of a run. `specs`: [{id, title, unit, series: [{name, label, color, dash, map, fill}]}]
+// The panels of a run. `specs`: [{id, title, unit, series: [{name, label, color, dash, map, fill, less}]}]; the
+// legend shows the value less that of the column `less`
 export class Panels {
   constructor(box, { onWindow, onCursor }) {
     this.box = box;
@@ -344,6 +345,7 @@ export class Panels {
             ...spec.series.map((s) => ({
               label: s.label,
               stroke: () => style(s.color),
+              fill: s.fill ? () => style(s.fill) : undefined,
               width: s.width ?? 1.25,
               dash: s.dash,
               paths: (u, n, ...rest) => (steep(u, n) ? null : linear(u, n, ...rest)),
@@ -401,10 +403,10 @@ export class Panels {
     const row = this.under(u);
     return row == null ? "" : `${this.view.t[row].toFixed(6)} s`;
   }
-  at(u, { name, map }) {
+  at(u, { name, less, map }) {
     const row = this.under(u);
     if (row == null || !this.view.has(name)) return "";
-    const v = this.view.columns[name][row];
+    const v = this.view.columns[name][row] - (less ? this.view.columns[less][row] : 0);
     return Number.isFinite(v) ? (map ? map(v) : v).toPrecision(5) : "";
   }
 

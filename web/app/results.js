@@ -53,6 +53,52 @@ export function banded(columns) {
   return columns;
 }
 
+// Names of the columns of the error budget.
+const layer = (n) => `budget ${n}`;
+
+// Add the layers of the error budget, stacked, at the rows of the columns.
+export function budgeted(columns, budget) {
+  if (!budget) return columns;
+  const { t, layers } = budget,
+    rows = columns.t.length,
+    stacked = layers.map(() => new Float64Array(rows));
+  for (let k = 0, at = 0; k < rows; k++) {
+    while (
+      at + 1 < t.length &&
+      Math.abs(t[at + 1] - columns.t[k]) <= Math.abs(t[at] - columns.t[k])
+    )
+      at++;
+    let sum = 0;
+    layers.forEach((variances, n) => (stacked[n][k] = sum += variances[at]));
+  }
+  stacked.forEach((values, n) => (columns[layer(n)] = values));
+  return columns;
+}
+
+// The panel of the error budget: variance of the position by cause.
+function budgetPanel(view, { budget }) {
+  if (!budget || !view.has(layer(0))) return [];
+  const factor = deg(1) ** 2;
+  return [
+    {
+      id: "budget",
+      title: "σ² by cause",
+      unit: "°²",
+      // the highest layer first: each fills the space down to zero
+      series: budget.names
+        .map((label, n) => ({
+          name: layer(n),
+          less: n ? layer(n - 1) : undefined,
+          label,
+          color: `--layer-${n}`,
+          fill: `--layer-${n}`,
+          map: (v) => factor * v,
+        }))
+        .reverse(),
+    },
+  ];
+}
+
 // The panels of a run.
 export function panels(view, found) {
   const { position } = found,
@@ -104,6 +150,7 @@ export function panels(view, found) {
       unit: "rad/s",
       series: [{ name: "speed_e", label: "speed", color: "--blue" }],
     });
+  out.push(...budgetPanel(view, found));
   out.push({
     id: "drift",
     title: "Drift",
@@ -223,7 +270,7 @@ export class Results {
     this.found = found;
     this.first = columns;
     this.changed = {};
-    this.view = new View(banded(columns));
+    this.view = new View(budgeted(banded(columns), found.budget));
     this.panels.show(this.view, panels(this.view, found));
     if (this.ask) this.makeSliders();
   }
@@ -250,7 +297,9 @@ export class Results {
 
   values() {
     const rows = this.panels.specs
-      .flatMap((spec) => spec.series.filter((s) => !s.label.endsWith("2σ")).map((s) => [spec, s]))
+      .flatMap((spec) =>
+        spec.series.filter((s) => !s.fill && !s.label.endsWith("2σ")).map((s) => [spec, s]),
+      )
       .map(([spec, s]) => {
         const map = s.map ?? ((v) => v),
           { mean, rms, least, most } = this.view.statistics(s.name, ...this.panels.window),

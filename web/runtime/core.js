@@ -276,7 +276,9 @@ const $estimateLog = (
     };
   const rows = voltage.shape[0],
     active = covariance.shape[0],
-    [assumptions, about, outputs, shares] = [0, 1, 2, 3].map((n) => $wasm.smoothing_size(n)),
+    [assumptions, about, outputs, shares, quantities] = [0, 1, 2, 3, 4].map((n) =>
+      $wasm.smoothing_size(n),
+    ),
     fields = $smoothingNames(MODEL_FIELDS).trim().split(" "),
     field = (name) => numbers.flat()[0][fields.indexOf(name)],
     blocks = Math.floor(rows / $wasm.block_rows(field("sample_time"), field("speed")));
@@ -287,7 +289,7 @@ const $estimateLog = (
       told = room(8 * about),
       columns = room(8 * outputs * rows),
       known = room(rows),
-      budget = room(8 * blocks * shares);
+      budget = room(8 * blocks * quantities * shares);
     $octets(flags, rows).set($as(measured).flat()[0]);
     $numbers(told, about)[3] = filterScale;
     const good = $wasm.estimate_log(
@@ -328,7 +330,7 @@ const $estimateLog = (
       array(told, about),
       array(columns, outputs, rows),
       new NdArray(Float64Array.from($octets(known, rows)), [rows], "i"),
-      array(budget, blocks, shares),
+      array(budget, blocks, quantities, shares),
     ]);
   } finally {
     held.forEach((at) => $wasm.release(at));

@@ -702,6 +702,8 @@ const BaseModel = $class(
           else throw e;
         }
       }
+      const given_ = cls.model_fields.items().filter(([name, info]) => data.has(info.alias ?? name));
+      $define(this, "model_fields_set", set(given_.map(([name]) => name)));
       const known = cls.model_fields.items().map(([name, info]) => info.alias ?? name);
       for (const [key, value] of $items(data))
         if (!known.includes(key))
@@ -732,6 +734,8 @@ const BaseModel = $class(
       const out = Object.create(this.constructor.prototype);
       for (const name of this.constructor.model_fields)
         $define(out, name, update && update.has(name) ? update.get(name) : this[name]);
+      const changed = update ? [...update] : [];
+      $define(out, "model_fields_set", set([...this.model_fields_set, ...changed]));
       return out;
     }, "update");
     $c.__eq__ = $def(function (other) {

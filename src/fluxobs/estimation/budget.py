@@ -1,4 +1,4 @@
-"""The error budget of a run: which assumption contributes how much to the position's error."""
+"""The error budget of a run: which assumption contributes how much to the errors."""
 
 from __future__ import annotations
 
@@ -9,59 +9,75 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array, runs
 from ..smoothing.assumptions import ITEMS
-from ..smoothing.record import SHARES
+from ..smoothing.record import QUANTITIES, SHARES
 
 #: Stretches at the borders of two windows are one if they are closer than this [s].
 MERGED = 0.01
 #: Names of the items: those of ITEMS, then what no assumption explains.
-NAMES: tuple[str, ...] = (*(item.name for item in ITEMS), "smoother", "noise")
+NAMES: tuple[str, ...] = (*(item.name for item in ITEMS), "calibration", "smoother", "noise")
+CALIBRATION = NAMES.index("calibration")
 #: Columns of the shares of assumptions that belong to each item.
 _GROUPS = [
     *([SHARES.index(name) for name in item.assumptions] for item in ITEMS),
+    [],  # common scales are no assumptions of the smoother
     *([SHARES.index(name)] for name in ("smoother", "noise")),
 ]
 
 
+#: What makes the common scales of voltages and currents better known.
+CALIBRATE = "calibrate one voltage and one current against a reference"
+
+
 def item_shares(shares: Array) -> Array:
-    """Return variances by item from those by assumption; (n, len(SHARES)) → (n, len(NAMES)).
+    """Return variances by item from those by assumption; (..., len(SHARES)) → (..., len(NAMES)).
 
     Correlations count for both assumptions by half, so a share can be negative; such a share
     counts as zero.
     """
-    columns = [shares[:, group].sum(axis=1) for group in _GROUPS]
-    return np.asarray(np.maximum(np.stack(columns, axis=1), 0.0))
+    columns = [shares[..., group].sum(axis=-1) for group in _GROUPS]
+    return np.asarray(np.maximum(np.stack(columns, axis=-1), 0.0))
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """Contribution of an item to the standard deviation of the position.
+    """Contribution of an item to the standard deviations, rms over the valid rows.
 
     Attributes
     ----------
     name : str
     std : float
-        Rms over the valid rows [rad].
+        Of the position [rad].
+    speed, flux, torque : float
+        Of the electrical speed [rad/s], of a component of the flux [Wb], of the torque [N m].
     remedy : str
         What makes it smaller; empty if nothing can be measured.
     """
 
     name: str
     std: float
+    speed: float
+    flux: float
+    torque: float
     remedy: str
 
 
 @dataclass
 class Budget:
-    """Error budget of the position, collected over a run.
+    """Error budget of position, speed, flux and torque, collected over a run.
 
     Attributes
     ----------
+    torque_factor : float
+        Torque [N m] per flux × current [W s].
+    inductance : str
+        Name of the only inductance of a machine without saliency, else an empty string.
     rows : float
         Number of valid rows.
-    variances : (items,) ndarray
-        Sum over the valid rows of each item's variance [rad^2].
+    variances : (len(QUANTITIES), items) ndarray
+        Sum over the valid rows of each item's variance.
     t, series : lists of ndarray
-        Times [s] and variances of the items [rad^2], thinned out for the picture.
+        Times [s] and variances of the items, (n, len(QUANTITIES), items), thinned out for the
+        picture.
     misfit : float
         Mean square of the normalised innovations of the smoother; NaN if it did not run.
     stretches : list of (float, float)
@@ -70,8 +86,10 @@ class Budget:
         Item of the assumption that the log contradicts, or an empty string.
     """
 
+    torque_factor: float = 1.0
+    inductance: str = ""
     rows: float = 0.0
-    variances: Array = field(default_factory=lambda: np.zeros(len(NAMES)))
+    variances: Array = field(default_factory=lambda: np.zeros((len(QUANTITIES), len(NAMES))))
     t: list[Array] = field(default_factory=list)
     series: list[Array] = field(default_factory=list)
     misfit: float = float("nan")
@@ -86,29 +104,66 @@ class Budget:
                 first = self.stretches.pop()[0]
             self.stretches.append((first, last))
 
-    def add(self, t: Array, shares: Array, valid: Array, stride: int) -> None:
-        """Add blocks: times, variances by assumption, numbers of valid rows."""
+    def add(self, t: Array, shares: Array, scales: Array, valid: Array, stride: int) -> None:
+        """Add blocks.
+
+        Parameters
+        ----------
+        t : (blocks,) ndarray
+        shares : (blocks, len(QUANTITIES), len(SHARES)) ndarray
+            Variances by assumption.
+        scales : (blocks, len(QUANTITIES)) ndarray
+            Variances by the common scales of voltages and currents.
+        valid : (blocks,) ndarray
+            Numbers of valid rows.
+        stride : int
+            Of the blocks that the picture shows.
+        """
         items = item_shares(shares)
+        items[:, :, CALIBRATION] = scales
+        items[:, QUANTITIES.index("torque")] *= self.torque_factor**2
         self.rows += float(valid.sum())
-        self.variances = self.variances + valid @ items
+        self.variances = self.variances + (valid[:, None, None] * items).sum(axis=0)
         self.t.append(t[::stride])
         self.series.append(items[::stride])
 
     @property
+    def names(self) -> list[str]:
+        """Names of the items as in the machine file; empty for one that the machine lacks."""
+        if not self.inductance:
+            return list(NAMES)
+        other = {"L_d": self.inductance, "L_q": ""}
+        return [other.get(name, name) for name in NAMES]
+
+    def of(self, quantity: str) -> Array:
+        """Return the standard deviations of a quantity by item, rms over the valid rows."""
+        variances = self.variances[QUANTITIES.index(quantity)]
+        return np.sqrt(variances / self.rows) if self.rows else np.full(len(NAMES), np.nan)
+
+    @property
     def std(self) -> float:
         """Standard deviation of the position, rms over the valid rows [rad]; NaN without any."""
-        return float(np.sqrt(self.variances.sum() / self.rows)) if self.rows else float("nan")
+        return float(np.sqrt((self.of("theta_e") ** 2).sum()))
 
     @property
     def contributions(self) -> list[Contribution]:
-        """Contributions, the largest first."""
+        """Contributions, the largest of the position first."""
         if not self.rows:
             return []
-        remedies = {item.name: item.remedy for item in ITEMS}
-        stds = np.sqrt(self.variances / self.rows)
+        remedies = {item.name: item.remedy for item in ITEMS} | {"calibration": CALIBRATE}
+        names = self.names
+        position, speed, flux, torque = [self.of(quantity) for quantity in QUANTITIES]
         listed = [
-            Contribution(name, float(std), remedies.get(name, ""))
-            for name, std in zip(NAMES, stds, strict=True)
+            Contribution(
+                names[n],
+                float(position[n]),
+                float(speed[n]),
+                float(flux[n]),
+                float(torque[n]),
+                remedies.get(name, ""),
+            )
+            for n, name in enumerate(NAMES)
+            if names[n]
         ]
         return sorted(listed, key=lambda contribution: -contribution.std)
 
@@ -118,17 +173,25 @@ class Budget:
         for contribution in self.contributions:
             if contribution.remedy:
                 rest = np.sqrt(max(self.std**2 - contribution.std**2, 0.0))
+                name = _with_article(contribution.name)
                 return (
-                    f"To gain most, {contribution.remedy}: without the error of the "
-                    f"{contribution.name}, the standard deviation of the position would be "
+                    f"To gain most, {contribution.remedy}: without the error of {name}, the "
+                    f"standard deviation of the position would be "
                     f"{np.degrees(rest):.2g}° instead of {np.degrees(self.std):.2g}°."
                 )
         return ""
 
-    def columns(self) -> dict[str, Array]:
-        """Return the series: t [s], and the variance of each item [rad^2]."""
+    def columns(self, quantity: str = "theta_e") -> dict[str, Array]:
+        """Return the series: t [s], and each item's variance of theta_e, speed_e, flux or torque.
+
+        The unit is the square of that of :class:`Contribution`.
+        """
         if not self.t:
             return {}
-        series = np.concatenate(self.series)
-        names = {name: series[:, n] for n, name in enumerate(NAMES)}
+        series = np.concatenate(self.series)[:, QUANTITIES.index(quantity)]
+        names = {name: series[:, n] for n, name in enumerate(self.names) if name}
         return {"t": np.concatenate(self.t)} | names
+
+
+def _with_article(name: str) -> str:
+    return name if name.startswith("L_") else f"the {name}"

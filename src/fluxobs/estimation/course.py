@@ -56,11 +56,6 @@ class Course:
     filter_scale: float
     misfit: float
 
-    @classmethod
-    def nothing(cls) -> Course:
-        """Return the course of a log that taught nothing."""
-        return cls(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)), 1.0, float("nan"))
-
     def at(self, time: float, model: SmoothingModel) -> Assumed:
         """Return the parameters at a time [s]."""
         if not len(self.times):
@@ -70,6 +65,11 @@ class Course:
             deviations[name] = float(np.interp(time, self.times, self.values[:, n]))
         nearest = int(np.argmin(np.abs(self.times - time)))
         return Assumed(deviations, self.covariances[nearest], self.filter_scale)
+
+
+def no_course() -> Course:
+    """Return the course of a log that taught nothing."""
+    return Course(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0)), 1.0, float("nan"))
 
 
 def course_of(model: SmoothingModel, learnings: Sequence[Learning]) -> Course:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core.arrays import Array
 from ..machines.model.frames import wrap
-from ..smoothing.record import SHARES, SmoothedRecord
+from ..smoothing.record import QUANTITIES, SHARES, SmoothedRecord
 
 #: Lags to try, relative to the lag with which a log is read: 0 [samples].
 LAGS = (0, -1)
@@ -38,14 +38,14 @@ class LagDecision:
         In samples.
     weights : dict
         Probability of each lag.
-    difference : float
+    position_difference : float
         Rms difference of the positions between the lag and the next probable one [rad]; NaN if
         the other was dropped.
     """
 
     lag: float
     weights: dict[float, float]
-    difference: float
+    position_difference: float
 
     @property
     def decided(self) -> bool:
@@ -71,38 +71,61 @@ def shifted(voltage: Array, shift: int) -> Array:
 
 
 def mixed(
-    best: SmoothedRecord, others: Sequence[tuple[float, SmoothedRecord]]
+    records: Sequence[SmoothedRecord], weights: Sequence[float]
 ) -> tuple[SmoothedRecord, float]:
-    """Return the best record with the standard deviations of the mixture.
+    """Return mean and standard deviation over the hypotheses.
 
     Parameters
     ----------
-    best : SmoothedRecord
-    others : sequence of (float, SmoothedRecord)
-        Weight and record of each other hypothesis.
+    records : sequence of SmoothedRecord
+        The most probable first; all of the same rows and blocks.
+    weights : sequence of float
+        Probabilities; their sum is almost 1.
 
     Returns
     -------
     SmoothedRecord
-        Its item "lag" contains the difference.
+        The most probable record with the mean outputs; its item "lag" contains the difference.
     float
-        Mean square of the difference of the positions [rad^2].
+        Mean square of the difference of the positions to the second record [rad^2].
     """
+    best = records[0]
+    if len(records) == 1:
+        return best, 0.0
+    if any(other.shares.shape != best.shares.shape for other in records):
+        return best, 0.0  # another start has other blocks; such a hypothesis has no weight
     outputs, shares = dict(best.outputs), best.shares.copy()
+    share = np.array(weights[1:]) / sum(weights)
     square = 0.0
-    for weight, other in others:
-        for name, values in best.outputs.items():
-            if (std := f"{name}_std") in outputs:
-                difference = other.outputs[name] - values
-                if name == "theta_e":
-                    difference = wrap(difference)
-                    square += float(np.mean(difference**2))
-                    _add_share(shares, weight * difference**2, best.model.rows_per_block)
-                outputs[std] = np.sqrt(outputs[std] ** 2 + weight * difference**2)
+    for name, values in best.outputs.items():
+        std = f"{name}_std"
+        if std not in outputs:
+            continue
+        differences = [other.outputs[name] - values for other in records[1:]]
+        if name == "theta_e":
+            differences = [wrap(difference) for difference in differences]
+            square = float(np.mean(differences[0] ** 2))
+        moved = sum_of(share, differences)
+        spread = sum_of(share, [difference**2 for difference in differences]) - moved**2
+        inner = outputs[std] ** 2 + sum_of(
+            share, [other.outputs[std] ** 2 - outputs[std] ** 2 for other in records[1:]]
+        )
+        outputs[name] = wrap(values + moved) if name == "theta_e" else values + moved
+        outputs[std] = np.sqrt(inner + spread)
+        if name in QUANTITIES:
+            _add_share(shares, QUANTITIES.index(name), spread, best.model.rows_per_block)
     return replace(best, outputs=outputs, shares=shares), square
 
 
-def _add_share(shares: Array, variance: Array, rows_per_block: int) -> None:
+def sum_of(weights: Array, values: Sequence[Array]) -> Array:
+    """Return the weighted sum."""
+    total = np.zeros(len(values[0]))
+    for weight, value in zip(weights.tolist(), values, strict=True):
+        total = total + weight * value
+    return total
+
+
+def _add_share(shares: Array, quantity: int, variance: Array, rows_per_block: int) -> None:
     blocks = min(len(shares), len(variance) // rows_per_block)
     whole = variance[: blocks * rows_per_block].reshape(blocks, rows_per_block)
-    shares[:blocks, SHARES.index("lag")] += whole.mean(axis=1)
+    shares[:blocks, quantity, SHARES.index("lag")] += whole.mean(axis=1)

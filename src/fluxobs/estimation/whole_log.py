@@ -23,6 +23,7 @@ from ..observers.outputs import outputs
 from ..smoothing.assumptions import Calibration
 from ..smoothing.estimate import VALID_STD, SmoothedEstimate, smoothed_estimate
 from ..smoothing.record import (
+    QUANTITIES,
     Assumed,
     RecordSamples,
     SmoothedRecord,
@@ -42,7 +43,7 @@ from .anchors import (
 )
 from .budget import Budget
 from .columns import EstimateRows, rows_of
-from .course import Course, Learning, course_of
+from .course import Course, Learning, course_of, no_course
 from .fit import contradiction, inductance_error, inverter_loss, rank, typical_std
 from .lag import LEAST_WEIGHT, LagDecision, mixed, weights_of
 from .statistics import THIN_ROWS, Statistics
@@ -107,7 +108,7 @@ class Hypothesis:
 
     shift: int
     weight: float = 1.0
-    course: Course = field(default_factory=Course.nothing)
+    course: Course = field(default_factory=no_course)
     cost: float = 0.0
 
 
@@ -144,7 +145,8 @@ class WholeLog:
         self.machine: RotatingMachine = run.machine
         self.priors, self.count = priors, count
         self.calibration = Calibration.of(priors)
-        self.budget = Budget()
+        names = self.machine.inductance_names
+        self.budget = Budget(1.5 * self.machine.n_p, names[0] if len(names) == 1 else "")
         self.model: SmoothingModel | None = None
         self.hypotheses = [Hypothesis(shift) for shift in shifts]
         self.weights: dict[int, float] = {}
@@ -385,7 +387,7 @@ class WholeLog:
                 for hypothesis in self.hypotheses
             ]
         weights = [hypothesis.weight for hypothesis in self.hypotheses]
-        record, square = mixed(records[0], list(zip(weights, records, strict=True))[1:])
+        record, square = mixed(records, weights)
         return SmoothedWindow(window, record, square, contradiction(model, record.assumed))
 
     def _finished(self, smoothed: SmoothedWindow) -> EstimateRows:
@@ -473,7 +475,15 @@ class WholeLog:
         middles = rows.samples.t[begin * m + m // 2 : end * m : m][: end - begin]
         valid = estimates.valid[begin * m : end * m].reshape(-1, m).sum(axis=1)
         stride = max(1, len(self.run.log) // (m * THIN_ROWS))
-        self.budget.add(middles, record.shares[begin:end], valid.astype(float), stride)
+        scales = np.zeros((end - begin, len(QUANTITIES)))
+        flux, torque = estimates.flux[begin * m : end * m : m], estimates.torque
+        scales[:, QUANTITIES.index("flux")] = (
+            self.calibration.voltage**2 * (flux**2).sum(axis=1) / 2
+        )
+        scales[:, QUANTITIES.index("torque")] = (
+            self.calibration.ratio * torque[begin * m : end * m : m]
+        ) ** 2
+        self.budget.add(middles, record.shares[begin:end], scales, valid.astype(float), stride)
 
     def _columns(
         self, rows: Anchored, estimates: SmoothedEstimate, first: int, last: int

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ..estimation.run import LogRun
 from ..machines import Machine
+
+#: Contributions that a picture shows by name.
+BUDGET_LAYERS = 5
 
 
 def shown_machine(machine: Machine) -> dict[str, Any]:
@@ -31,6 +36,7 @@ def shown(run: LogRun) -> dict[str, Any]:
         "sample_time": log.sample_time,
         "lag": log.layout.lag,
         "frame": log.frame,
+        "budget": _budget(run),
         "unknowns": list(run.unknowns),
         "adaptive": run.adaptive is not None,
         "memory": run.observer.memory,
@@ -43,4 +49,20 @@ def shown(run: LogRun) -> dict[str, Any]:
                 if value is None or isinstance(value, int | float)
             },
         },
+    }
+
+
+def _budget(run: LogRun) -> dict[str, Any] | None:
+    """Return the largest contributions to the variance of the position over time [rad^2]."""
+    budget = run.budget
+    if budget is None or not budget.rows:
+        return None
+    series = budget.columns()
+    names = [contribution.name for contribution in budget.contributions]
+    layers = [series[name].tolist() for name in names[:BUDGET_LAYERS]]
+    rest = np.stack([series[name] for name in names[BUDGET_LAYERS:]]).sum(axis=0)
+    return {
+        "t": series["t"].tolist(),
+        "names": [*names[:BUDGET_LAYERS], "others"],
+        "layers": [*layers, rest.tolist()],
     }

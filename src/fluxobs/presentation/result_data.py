@@ -63,11 +63,19 @@ def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[s
     return data
 
 
-def _budget(result: LogRun) -> dict[str, float] | None:
-    """Return the contributions to the standard deviation of the position [rad]."""
+def _budget(result: LogRun) -> dict[str, dict[str, float]] | None:
+    """Return the contributions to the standard deviations: rad, rad/s, Wb, N m."""
     if result.budget is None:
         return None
-    return {contribution.name: contribution.std for contribution in result.budget.contributions}
+    return {
+        contribution.name: {
+            "theta_e": contribution.std,
+            "speed_e": contribution.speed,
+            "flux": contribution.flux,
+            "torque": contribution.torque,
+        }
+        for contribution in result.budget.contributions
+    }
 
 
 def _parameters(result: LogRun) -> dict[str, Any]:

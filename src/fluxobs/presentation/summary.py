@@ -62,10 +62,10 @@ def _learnt_lag(result: LogRun) -> str:
     if decision.decided:
         return ", as learnt from the log"
     weights = " or ".join(f"{lag:+g} ({share:.0%})" for lag, share in decision.weights.items())
+    degrees = np.degrees(decision.position_difference)
     return (
-        f". The log does not determine the lag: {weights}. The positions differ by "
-        f"{np.degrees(decision.difference):.2g}° rms, which is part of their standard deviation; "
-        f"state --lag if you know it"
+        f". The log does not determine the lag: {weights}. The two positions differ by "
+        f"{degrees:.2g}° rms, which is part of the standard deviation; state --lag if you know it"
     )
 
 

@@ -179,6 +179,11 @@ def _validity(result: LogRun) -> list[str]:
         if still
         else "check R_s and the inductances, the voltage columns and their scale, --frame and --lag"
     )
+    if result.lag is not None and not result.lag.decided and not still:
+        reason = (
+            "the log does not determine the lag of the voltages, and the positions with the two "
+            f"usual lags differ by {np.degrees(result.lag.position_difference):.2g}°: state --lag"
+        )
     share = statistics.valid / statistics.rows
     return [f"The position is valid on only {share:.1%} of the rows: {reason}."]
 

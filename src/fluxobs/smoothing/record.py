@@ -26,7 +26,10 @@ MODEL_FIELDS: tuple[str, ...] = tuple(_smoother.model_fields.split())
 MAP_FIELDS: tuple[str, ...] = tuple(_smoother.map_fields.split())
 #: Limit of the correlation of neighbouring innovations.
 MOST_CORRELATION = 0.9
-#: Names of the shares of an angle's variance: the assumptions, then the smoother, then the noise of
+#: Quantities with a budget: angle [rad], speed [rad/s], a component of the flux [Wb], and flux ×
+#: current [W s].
+QUANTITIES = ("theta_e", "speed_e", "flux", "torque")
+#: Names of the shares of a variance: the assumptions, then the smoother, then the noise of
 #: the current at the row itself.
 SHARES: tuple[str, ...] = (*NAMES, "smoother", "noise")
 
@@ -215,8 +218,8 @@ class SmoothedRecord:
         Name → (rows,) array, see smoothing/estimate.h.
     known : (rows,) ndarray of bool
         Whether a row is measured, and fits the model.
-    shares : (blocks, len(SHARES)) ndarray
-        Shares of the angle's variance in each block [rad^2].
+    shares : (blocks, len(QUANTITIES), len(SHARES)) ndarray
+        Shares of the variance of each quantity in each block.
     """
 
     model: SmoothingModel
