@@ -30,7 +30,7 @@ def folder(tmp_path):
 
 
 def estimate(folder, *more, log="log.csv", out="out.parquet"):
-    arguments = ("estimate", log, "--machine", "motor.toml", "--out", out, "--force")
+    arguments = ("estimate", log, "--machine", "motor.toml", "--out", out, "--force", "--lag", "0")
     return fluxobs(*arguments, *more, folder=folder)
 
 

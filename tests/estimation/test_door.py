@@ -84,20 +84,21 @@ def test_the_lag_of_a_record_and_of_arrays_is_that_of_a_log():
     from_record = fluxobs.estimate(fluxobs.Record(H, earlier, i, lag=1), SERVO)
     from_arrays = fluxobs.estimate((earlier, i), SERVO, sample_time=H, lag=1)
     assert from_record.estimates.equals(from_arrays.estimates, null_equal=True)
-    unshifted = fluxobs.estimate((u, i), SERVO, sample_time=H)
+    unshifted = fluxobs.estimate((u, i), SERVO, sample_time=H, lag=0)
     # Only the first row's interval differs.
     assert np.abs(from_record["flux_alpha"] - unshifted["flux_alpha"])[100:].max() < 1e-9
 
 
 def test_a_truth_scores():
     u, i, theta = signals()
-    result = fluxobs.estimate(fluxobs.Record(H, u, i, theta_e=theta), "servo-400w")
+    result = fluxobs.estimate(fluxobs.Record(H, u, i, lag=0, theta_e=theta), "servo-400w")
     assert result.statistics.scored == result.statistics.valid > 1000
     assert result.statistics.rms_error < np.radians(0.2)
     mechanical = fluxobs.estimate(
         channels(shaft=np.unwrap(theta) / SERVO.n_p),
         SERVO,
         sample_time=H,
+        lag=0,
         truth={"theta_mech": "shaft"},
     )
     np.testing.assert_allclose(mechanical["theta_e_error"], result["theta_e_error"], atol=1e-9)

@@ -73,7 +73,7 @@ def changed(run, counts=None, **statistics):
         for name in ("log", "machine", "observer", "scales", "unknowns", "memory", "priors")
     }
     fields |= {"learnt": None, "automatic": False, "causal": False, "counts": counts}
-    fields["budget"] = run.budget
+    fields |= {"budget": run.budget, "lag": run.lag}
     return fluxobs.presentation.explanation.ExplainedRun(
         **fields, statistics=replace(run.statistics, **statistics)
     )

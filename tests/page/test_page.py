@@ -336,6 +336,7 @@ def test_a_slider_gives_what_the_library_gives(page):
         corpus.FOLDER / "plain.csv",
         machine.with_values(R_s=machine.R_s * 2**0.5),
         unknowns=unknowns,
+        lag=opened_page.js("() => fluxobs.state.found.lag"),
     )
     for name in ("theta_e", "speed_e", "drift_alpha", "valid"):
         np.testing.assert_allclose(opened_page.column(name), wanted[name], rtol=1e-6, atol=1e-7)

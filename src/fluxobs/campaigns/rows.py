@@ -122,7 +122,7 @@ def record_of(drive: Simulated, sample_time: float) -> Record:
     trace = drive.trace
     assert trace is not None
     theta_e = np.asarray(trace.theta_e)
-    return Record(sample_time, trace.voltage, trace.current, theta_e=theta_e)
+    return Record(sample_time, trace.voltage, trace.current, lag=0.0, theta_e=theta_e)
 
 
 def true_parameters(drive: Simulated, cell: Cell) -> Parameters:

@@ -215,6 +215,7 @@ class Log:
             # Row k of a record acts from t_k on: the interval ending at t_k belongs to row k - 1.
             np.concatenate([voltage[1:], np.full((1, 2), np.nan)]),
             np.concatenate([batch.current for batch in batches]),
+            lag=0.0 if self.layout.lag_stated else None,
             theta_e=np.concatenate([batch.truth for batch in batches if batch.truth is not None])
             if self.true is not None and self.true.channel == "theta_e"
             else None,

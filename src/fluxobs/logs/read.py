@@ -170,7 +170,10 @@ def _record_table(
             f"{', '.join(sorted(surplus)) or 'frame'}: cannot be given for a Record, which is in "
             f"αβ and fixes its layout"
         )
-    fields = fields | {"sample_time": source.sample_time, "lag": source.lag}
+    fields = fields | {
+        "sample_time": source.sample_time,
+        "lag": "auto" if source.lag is None else source.lag,
+    }
     channels = _channels(source.voltage, source.current, frame)
     if source.theta_e is not None:
         channels["theta_e"] = source.theta_e

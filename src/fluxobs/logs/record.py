@@ -69,8 +69,9 @@ class Record:
     voltage, current : array_like
         As logged [V], [A]; NaN where missing. The shape is (rows, 2) in αβ, (rows, 3) for three
         phases, or (rows,) for complex α + j β. Stored as (rows, 2) in αβ, amplitude-invariant.
-    lag : float
-        Interval over which a row's voltage acts, in samples; see :func:`interval_rows`.
+    lag : float, optional
+        Interval over which a row's voltage acts, in samples; see :func:`interval_rows`. Without it,
+        :func:`fluxobs.estimate` learns whether it is 0 or -1; everything else uses 0.
     theta_e : (rows,) array_like, optional
         True electrical angle [rad], to score estimates.
 
@@ -90,7 +91,7 @@ class Record:
     sample_time: float
     voltage: Array
     current: Array
-    lag: float = 0.0
+    lag: float | None = None
     theta_e: Array | None = None
 
     def __post_init__(self) -> None:
@@ -110,7 +111,7 @@ class Record:
                     f"theta_e must have shape ({len(self.current)},), got {theta.shape}"
                 )
             object.__setattr__(self, "theta_e", theta)
-        check_lag(self.lag, len(self.current))
+        check_lag(self.lag or 0.0, len(self.current))
 
     def __len__(self) -> int:
         return len(self.current)
@@ -125,7 +126,7 @@ class Record:
 
         The voltage is NaN where it is unknown.
         """
-        return interval_rows(self.voltage, self.lag, 0, len(self))
+        return interval_rows(self.voltage, self.lag or 0.0, 0, len(self))
 
     def on_intervals(self, sample_time: float) -> tuple[Array, Array]:
         """Return interval voltage and current for an observer with this sample time.

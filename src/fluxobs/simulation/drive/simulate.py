@@ -165,6 +165,7 @@ class Run:
             self.sample_time,
             np.asarray(pair(trace.voltage)),
             np.asarray(pair(trace.measured_current)),
+            lag=0.0,
             theta_e=np.asarray(trace.theta_e),
         )
 
