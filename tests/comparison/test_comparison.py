@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from fluxobs.comparison import report
-from fluxobs.comparison.bound import position_bound
+from fluxobs.comparison.bound import Unknowns, position_bound, two_sided_bound
 from fluxobs.comparison.catalogue import CATALOGUE
 from fluxobs.comparison.compare import LANES, compare_scenario, setting_for
 from fluxobs.comparison.scenarios import SCENARIOS, believed_machine, run_scenario, scenario
@@ -85,6 +85,38 @@ def test_bound_equals_the_information_of_all_samples():
         tangent = np.array([-np.sin(theta[rows - 1]), np.cos(theta[rows - 1]), 0, 0, 0])
         expected = np.sqrt((tangent @ P @ tangent + variance) / psi**2)
         assert bound[rows - 1] == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_bound_from_both_sides_equals_the_information_of_all_samples():
+    """With saliency and R: the angle of each row, from one inverse of the joint information."""
+    machine, h, n = example("ipm-2kw2"), 1e-3, 60
+    theta = 0.4 + 40.0 * h * np.arange(n)
+    i = (-1.0 + 3.0j) * np.linspace(0.5, 1.0, n)
+    stator = i * np.exp(1j * theta)
+    noise, drift, psi_std, R_std = 0.02, 0.2, 0.05, 0.3
+    unknowns = Unknowns(noise, drift, psi_std=psi_std, resistance_std=R_std)
+    exact = machine.with_values(R_s=1e-9)  # its noise in the flux is neglected below
+    current = np.stack([stator.real, stator.imag], axis=1)
+    bound = two_sided_bound(exact, theta, current, h, unknowns)
+    L_d, L_q, psi = machine.L_d, machine.L_q, machine.psi_f
+    length = psi + (L_d - L_q) * i.real  # of the auxiliary flux, along d
+    charge = h * np.cumsum(np.concatenate([[[0, 0]], current[1:]]), axis=0)
+    prior = [np.median(length), np.median(length), drift, drift, psi_std, R_std]
+    information = np.diag(1 / np.array(prior) ** 2)
+
+    def regressor(k, x, y):
+        """Derivatives of the flux error along a direction, by the unknowns at the first row."""
+        return np.array([x, y, k * h * x, k * h * y, 0.0, -charge[k] @ [x, y]])
+
+    for k in range(n):
+        row = regressor(k, np.cos(theta[k]), np.sin(theta[k]))
+        row[4] = -1.0
+        information += np.outer(row, row) / (noise * L_d) ** 2
+    joint = np.linalg.inv(information)
+    for k in (0, 20, n - 1):
+        across = regressor(k, -np.sin(theta[k]), np.cos(theta[k]))
+        variance = (across @ joint @ across + (noise * L_q) ** 2) / length[k] ** 2
+        assert bound[k] == pytest.approx(np.sqrt(variance), rel=1e-4)
 
 
 def test_the_least_squares_reaches_the_bound():

@@ -158,6 +158,8 @@ def test_a_record_file_states_standard_deviations(samples, tmp_path):
         ({"priors": {"lags": 0.1}}, "prior: unknown 'lags'; did you mean 'lag'"),
         ({"priors": {"lag": -1.0}}, "prior lag=-1: must be finite and not negative"),
         ({"priors": {"lag": 0.1}, "causal": True}, "the observer of a drive does not use it"),
+        ({"priors": {"R_R": 0.1}}, "prior R_R: this machine (surface-pmsm) has no cage"),
+        ({"priors": {"L_q": 0.1}}, "only one inductance: give L_d"),
         ({"priors": {"asymmetry": 0.01, "voltage_gain": 0.01}}, "give only one of them"),
     ],
 )

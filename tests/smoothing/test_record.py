@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import fluxobs
+from fluxobs.comparison.bound import Unknowns, two_sided_bound
 from fluxobs.estimation.course import Learning, course_of
 from fluxobs.logs.scales import Scales
 from fluxobs.machines.model.frames import wrap
@@ -202,3 +203,25 @@ def test_segments_are_joined_like_one_record(model):
         course_of(still, [bad, parts[1]]).values[0],
         [parts[1].assumed.deviations[name] for name in still.active],
     )
+
+
+def test_the_right_model_is_at_the_bound():
+    """Only white noise of the current: the error is that of the Cramér–Rao bound of all samples."""
+    exact = dict.fromkeys(
+        [
+            *("resistance", "inverter", "lag", "offset", "current_gain", "voltage_gain"),
+            *("iron_loss", "L_d", "psi_f", "harmonics"),
+        ],
+        0.0,
+    )
+    squares = []
+    for seed in range(3):
+        samples = driven(SERVO, H, SPEED, CURRENT, noise=0.02, seed=seed)
+        result = fluxobs.estimate(log_columns(samples), SERVO, lag=0, priors=exact)
+        squares.append(wrap(result["theta_e"] - samples.theta) ** 2)
+    i = CURRENT * np.exp(1j * samples.theta)
+    drift = 0.02 * SERVO.rated_current * SERVO.R_s
+    bound = two_sided_bound(
+        SERVO, samples.theta, np.stack([i.real, i.imag], axis=1), H, Unknowns(0.02, drift)
+    )
+    assert 0.97 < np.sqrt(np.mean(squares) / np.mean(bound**2)) < 1.05

@@ -77,8 +77,10 @@ PriorOption = Annotated[
         metavar="NAME=NUMBER",
         help="Standard deviations of the machine file's values: resistance=OHM, inverter=VOLT, "
         "psi_f=WB, asymmetry=NUMBER. Default: resistance half of R_s; inverter a quarter of "
-        "R_s times the rated current, or more at high voltage; psi_f a quarter of its value; "
-        "asymmetry 0.01.",
+        "R_s times the rated current, or more at high voltage; psi_f a quarter of its value. "
+        "`estimate` without --causal also accepts lag (samples), offset (A), current_gain, "
+        "voltage_gain, iron_loss, L_d, L_q, saturation, harmonics, R_R, L_M, voltage_scale, "
+        "current_scale (shares).",
     ),
 ]
 

@@ -45,9 +45,9 @@ def contradiction(model: SmoothingModel, assumed: Assumed) -> str:
         name: abs(assumed.deviations[name]) / model.stds[name] / limit_of(model, name)
         for name in model.active
     }
-    worst = max(ratios, key=lambda name: ratios[name])
-    if not ratios[worst] > 1:
+    if not ratios or not max(ratios.values()) > 1:
         return ""
+    worst = max(ratios, key=lambda name: ratios[name])
     return next(item.name for item in ITEMS if worst in item.assumptions)
 
 

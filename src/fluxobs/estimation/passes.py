@@ -15,7 +15,7 @@ from ..observers import AdaptiveObserver, LogObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import Prepared, prepare
 from ..observers.unknowns import ALL, AUTO, PRIORS
-from ..smoothing.assumptions import GIVEN
+from ..smoothing.assumptions import GIVEN, check_given
 from .columns import EstimateRows, rows_of
 from .lag import LAGS
 from .learning import learn
@@ -110,6 +110,8 @@ class Passes:
             The unknowns are not identifiable together on this machine, or a setting cannot work.
         """
         check_priors(priors, causal)
+        if isinstance(machine, RotatingMachine):
+            check_given(machine, priors)
         priors = dict(log.layout.priors) | dict(priors)
         check_priors(priors, False)
         automatic = unknowns == (AUTO,)

@@ -449,7 +449,9 @@ class WholeLog:
             psi_f=statistics.mean("psi_f") if valid and magnets else psi_f,
             psi_f_std=statistics.mean("psi_f_std") if valid and magnets else stds.get("psi_f", 0.0),
             resistance=statistics.mean("resistance") if valid else resistance,
-            resistance_std=statistics.mean("resistance_std") if valid else stds["resistance"],
+            resistance_std=statistics.mean("resistance_std")
+            if valid
+            else stds.get("resistance", 0.0),
             inverter_voltage=loss,
             inverter_std=loss_std,
             offset=offset,

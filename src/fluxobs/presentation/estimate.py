@@ -61,9 +61,11 @@ def estimate(
         observer learns while it estimates, as in firmware.
     memory : float, optional
         Memory of the least squares [s]. The default depends on the kind of machine.
-    priors : mapping of {"resistance", "inverter", "asymmetry", "psi_f"} to float, optional
-        Standard deviations of the machine file's values [Ω], [V], [1], [Wb]. The defaults are those
-        of :meth:`AdaptiveObserver.for_machine`.
+    priors : mapping of str to float, optional
+        Standard deviations of what the estimate assumes: resistance [Ω], inverter [V],
+        asymmetry [1], psi_f [Wb], and unless `causal` also offset [A], lag [samples], current_gain,
+        voltage_gain, iron_loss, L_d, L_q, saturation, harmonics, R_R, L_M, voltage_scale,
+        current_scale [1]. :mod:`fluxobs.smoothing.assumptions` has the defaults.
     progress : callable, optional
         Called with the number of finished rows and the number of all rows.
     layout : optional

@@ -6,13 +6,14 @@ budget of a row.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from .. import _smoother
+from ..errors import MachineError
 from ..logs.scales import Scales
 from ..machines import InductionMachine, RotatingMachine
 from ..observers.adaptive import (
@@ -248,6 +249,22 @@ def with_scale(std: Any, value: Any, scale: float, prior: float = np.inf) -> Any
     """Return a standard deviation that contains an unknown scale, at most the prior one."""
     variance = std**2 + (value * scale) ** 2
     return np.sqrt(variance / (1 + variance / prior**2)) if prior > 0 else 0.0 * variance
+
+
+def check_given(machine: RotatingMachine, given: Iterable[str]) -> None:
+    """Raise MachineError if a machine does not have a quantity of GIVEN."""
+    single = one_inductance(machine)
+    lacking = {
+        "harmonics": ("no magnets", not machine.magnets),
+        "R_R": ("no cage", not isinstance(machine, InductionMachine)),
+        "L_M": ("no cage", not isinstance(machine, InductionMachine)),
+        "L_q": ("only one inductance: give L_d", single),
+        "saturation": ("no saliency, or a flux map", single or machine.saturation is not None),
+    }
+    for name in given:
+        reason, is_lacking = lacking.get(name, ("", False))
+        if is_lacking:
+            raise MachineError(f"prior {name}: this machine ({machine.kind}) has {reason}")
 
 
 def one_inductance(machine: RotatingMachine) -> bool:
