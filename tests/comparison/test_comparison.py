@@ -99,24 +99,29 @@ def test_the_bound_from_both_sides_equals_the_information_of_all_samples():
     current = np.stack([stator.real, stator.imag], axis=1)
     bound = two_sided_bound(exact, theta, current, h, unknowns)
     L_d, L_q, psi = machine.L_d, machine.L_q, machine.psi_f
-    length = psi + (L_d - L_q) * i.real  # of the auxiliary flux, along d
+    auxiliary = psi + (L_d - L_q) * i.conj()
+    size, along = np.abs(auxiliary), auxiliary / np.abs(auxiliary)
     charge = h * np.cumsum(np.concatenate([[[0, 0]], current[1:]]), axis=0)
-    prior = [np.median(length), np.median(length), drift, drift, psi_std, R_std]
+    prior = [np.median(size), np.median(size), drift, drift, psi_std, R_std]
     information = np.diag(1 / np.array(prior) ** 2)
 
-    def regressor(k, x, y):
-        """Derivatives of the flux error along a direction, by the unknowns at the first row."""
-        return np.array([x, y, k * h * x, k * h * y, 0.0, -charge[k] @ [x, y]])
+    def regressor(k, direction):
+        """Derivatives of the residual along a direction, by the unknowns at the first row."""
+        stator = direction * np.exp(1j * theta[k])
+        x, y = stator.real, stator.imag
+        return np.array([x, y, k * h * x, k * h * y, -direction.real, -charge[k] @ [x, y]])
+
+    def noise_along(direction):
+        return (noise * L_d * direction.real) ** 2 + (noise * L_q * direction.imag) ** 2
 
     for k in range(n):
-        row = regressor(k, np.cos(theta[k]), np.sin(theta[k]))
-        row[4] = -1.0
-        information += np.outer(row, row) / (noise * L_d) ** 2
+        row = regressor(k, along[k])
+        information += np.outer(row, row) / noise_along(along[k])
     joint = np.linalg.inv(information)
     for k in (0, 20, n - 1):
-        across = regressor(k, -np.sin(theta[k]), np.cos(theta[k]))
-        variance = (across @ joint @ across + (noise * L_q) ** 2) / length[k] ** 2
-        assert bound[k] == pytest.approx(np.sqrt(variance), rel=1e-4)
+        across = regressor(k, 1j * along[k])
+        variance = across @ joint @ across + noise_along(1j * along[k])
+        assert bound[k] == pytest.approx(np.sqrt(variance) / size[k], rel=1e-4)
 
 
 def test_the_least_squares_reaches_the_bound():
