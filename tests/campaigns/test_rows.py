@@ -179,3 +179,41 @@ def test_sure_and_wrong_exceeds_five_deviations_and_ten_degrees():
     record = ObservedRecord(error, zeros, zeros == 0, std, {})
     row = measures(1e-3 * np.arange(100), trace, zeros, record, example("servo-400w"), 0.0)
     assert row["wrong"] == 0.05
+
+
+def test_the_whole_log_is_estimated_with_lost_samples():
+    observers = [{"kind": "whole-log", "name": "both"}, "plain"]
+    s = specification(scenarios=4, observers=observers, vary={"lost": 0.01, "noise": 0.003})
+    rows = frame(s, scenarios(s, 0, 4))
+    both = rows.filter(pl.col("observer") == "both")
+    assert both["failed"].is_null().all()
+    assert (both["valid"] > 0.9).all()
+    assert (both["rms"] < 2.0).all()
+
+
+def test_an_observer_may_assume_another_machine_file():
+    machines = ["synrm-6kw7-saturated"]
+    s = specification(
+        scenarios=2,
+        machines=machines,
+        vary={},
+        observers=["whole-log", {"kind": "whole-log", "name": "linear", "file": "synrm-6kw7"}],
+    )
+    rows = frame(s, scenarios(s, 0, 2))
+    known, linear = (rows.filter(pl.col("observer") == name) for name in ("whole-log", "linear"))
+    assert (known["valid"] > linear["valid"]).all()
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"observers": ["whole-log"], "loop": "closed"}, "needs all samples of a log"),
+        ({"vary": {"lost": 0.01}, "loop": "closed", "observers": ["plain"]}, "lost applies only"),
+        ({"vary": {"lost": 0.01}}, "cannot run with lost samples"),
+        ({"observers": [{"kind": "whole-log", "file": "servo"}]}, "file: no shipped machine"),
+        ({"observers": [{"kind": "whole-log", "gains": {"k": 1.0}}]}, "has no gains"),
+    ],
+)
+def test_settings_of_the_whole_log(fields, message):
+    with pytest.raises(UsageError, match=message):
+        specification(**fields)

@@ -13,7 +13,7 @@ from .quantities import QUANTITIES
 from .specification import Specification
 
 #: Independent streams of random numbers of one scenario.
-POINT, COURSE, NOISE = 0, 1, 2
+POINT, COURSE, NOISE, LOST = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,14 @@ from ..comparison.scenarios import believed_machine
 from ..core.arrays import Array
 from ..core.validation import nearest
 from ..errors import UsageError
-from ..machines import RotatingMachine
+from ..estimation.columns import joined_rows
+from ..estimation.passes import Passes
+from ..logs.read import read_log
+from ..machines import RotatingMachine, as_machine, rotating
 from ..observers import AdaptiveEstimate, AdaptiveObserver, LeastSquaresObserver
+from ..observers.unknowns import AUTO
 from .drives import Cell
-from .specification import ADAPTIVE, PLAIN, ObserverTable
+from .specification import ADAPTIVE, PLAIN, WHOLE_LOG, ObserverTable
 
 #: Share of the rated speed above which observers without a validity flag are trusted, as in
 #: firmware. An open-loop start usually accelerates the current vector to twice this speed.
@@ -56,6 +60,35 @@ class Parameters(NamedTuple):
     inverter_voltage: float
 
 
+@dataclass(frozen=True)
+class WholeLogEstimate:
+    """The estimate of every row of a record.
+
+    Parameters
+    ----------
+    machine : RotatingMachine
+        The machine file.
+    sample_time : float
+        [s].
+    """
+
+    machine: RotatingMachine
+    sample_time: float
+
+    def run(self, voltage: Array, current: Array) -> ObservedRecord:
+        """Estimate a record; the voltage of a row is the mean over the interval before it."""
+        log = read_log((voltage, current), sample_time=self.sample_time, lag=1)
+        passes = Passes.begun(log, self.machine, (AUTO,), None, {}, causal=False)
+        columns = joined_rows(list(passes.rows())).columns
+        return ObservedRecord(
+            columns["theta_e"],
+            columns["speed_e"],
+            np.asarray(columns["valid"], bool),
+            columns["theta_e_std"],
+            {},
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """An observer of a campaign, ready to run.
@@ -79,7 +112,7 @@ class Candidate:
     @property
     def compiled(self) -> bool:
         """Whether this is a compiled observer, which flags its valid rows."""
-        return self.table.kind in (PLAIN, ADAPTIVE)
+        return self.table.kind in (PLAIN, ADAPTIVE, WHOLE_LOG)
 
     @property
     def adaptive(self) -> bool:
@@ -99,9 +132,15 @@ def candidate(table: ObserverTable, cell: Cell, noise: float) -> Candidate:
     FluxobsError
         This machine has no such observer, or the observer has no such gain.
     """
-    believed = believed_machine(cell.machine, table.machine)
+    believed = _believed(table, cell)
     observer = _build_observer(table, believed, cell, noise)
     return Candidate(table, believed, observer, TRUSTED * cell.rated.speed_e)
+
+
+def _believed(table: ObserverTable, cell: Cell) -> RotatingMachine:
+    """Return the machine that an observer assumes."""
+    machine = rotating(as_machine(table.file), "a campaign") if table.file else cell.machine
+    return believed_machine(machine, table.machine)
 
 
 def _build_observer(
@@ -114,6 +153,8 @@ def _build_observer(
         "current_noise": noise,
         "rated_current": cell.current,
     }
+    if table.kind == WHOLE_LOG:
+        return WholeLogEstimate(believed, h)
     if table.kind == PLAIN:
         return LeastSquaresObserver.for_machine(believed, **settings)
     if table.kind == ADAPTIVE:
@@ -135,14 +176,12 @@ def check_observer(table: ObserverTable, cell: Cell) -> Entry | None:
     FluxobsError
         This machine has no such observer, or the observer has no such gain or unknown.
     """
-    if table.kind in (PLAIN, ADAPTIVE):
-        _build_observer(
-            table, believed_machine(cell.machine, table.machine), cell, NOISE * cell.current
-        )
+    if table.kind in (PLAIN, ADAPTIVE, WHOLE_LOG):
+        _build_observer(table, _believed(table, cell), cell, NOISE * cell.current)
         return None
     entries = {entry.name: entry for entry in entries_for(cell.machine) if not entry.least_squares}
     if table.kind not in entries:
-        kinds = (PLAIN, ADAPTIVE, *entries)
+        kinds = (PLAIN, ADAPTIVE, WHOLE_LOG, *entries)
         raise UsageError(
             f"observers: {cell.name} has no {table.kind!r}{nearest(table.kind, kinds)}"
         )
@@ -203,6 +242,10 @@ def observe(
         outputs = _run_in_jax(candidate.observer, np.nan_to_num(voltage), current)
         for theta, speed in zip(*map(np.asarray, outputs), strict=True):
             yield ObservedRecord(theta, speed, np.abs(speed) > candidate.trusted, None, {})
+        return
+    if candidate.table.kind == WHOLE_LOG:
+        for u, i in zip(voltage, current, strict=True):
+            yield candidate.observer.run(u, i)
         return
     if not candidate.adaptive:
         for first in range(0, len(voltage), TOGETHER):

@@ -74,6 +74,7 @@ QUANTITIES = {
     "range": Quantity(1e6, "", "limit of the current sensors, share of the rated current", 0.0),
     "jitter": _share("std of the sampling instant, share of the sample time", -1e-12),
     "lag": _share("delay of the current sensors, share of the sample time"),
+    "lost": _share("share of the samples without a current; not in closed loop", -1e-12),
 }
 
 #: Names that set several quantities; each quantity is drawn independently.

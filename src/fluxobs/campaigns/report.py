@@ -17,7 +17,7 @@ from ..core.printable import visible
 from . import pictures, statistics
 from .dataset import WORST, Dataset
 from .draws import total
-from .specification import ADAPTIVE, PLAIN, ObserverTable, Specification
+from .specification import REPORTED, ObserverTable, Specification
 from .statistics import Index, group, in_words
 from .worst import KEPT, stem, worst
 
@@ -229,7 +229,7 @@ def text(dataset: Dataset, rows: pl.DataFrame) -> tuple[Any, list[str]]:
 
 def _rerun_command(dataset: Dataset, number: int | str, table: ObserverTable) -> str:
     """Return the command that repeats a scenario and writes the observer's report or record."""
-    has_report = table.kind in (PLAIN, ADAPTIVE)
+    has_report = table.kind in REPORTED
     output = ("--report", "again.html") if has_report else ("--record", "again.parquet")
     return shlex.join(
         [

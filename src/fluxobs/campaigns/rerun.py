@@ -13,6 +13,7 @@ import polars as pl
 from ..errors import UsageError
 from ..logs.record import Record
 from ..machines import RotatingMachine
+from ..observers.unknowns import AUTO
 from ..presentation import Result
 from ..presentation.estimate import estimate
 from .columns import schema
@@ -21,7 +22,7 @@ from .drives import cell_of
 from .observed import UNKNOWNS, Candidate, ObservedRecord
 from .rows import record_of, rows_for
 from .simulated import Simulated
-from .specification import ADAPTIVE, PLAIN, ObserverTable, Specification
+from .specification import ADAPTIVE, PLAIN, REPORTED, WHOLE_LOG, ObserverTable, Specification
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,21 +72,25 @@ class Rerun:
         UsageError :func:`fluxobs.estimate` cannot run this observer.
         """
         check_estimated(self.table)
-        adaptive = self.table.kind == ADAPTIVE
+        unknowns = {
+            PLAIN: ("drift",),
+            ADAPTIVE: self.table.unknowns or UNKNOWNS,
+            WHOLE_LOG: (AUTO,),
+        }[self.table.kind]
         return estimate(
             self.record,
             self.machine,
-            unknowns=(self.table.unknowns or UNKNOWNS) if adaptive else ("drift",),
-            causal=adaptive,
+            unknowns=unknowns,
+            causal=self.table.kind != WHOLE_LOG,
             memory=self.table.memory,
         )
 
 
 def check_estimated(table: ObserverTable) -> None:
     """Raise UsageError if :func:`fluxobs.estimate` cannot run this observer."""
-    if table.kind not in (PLAIN, ADAPTIVE):
+    if table.kind not in REPORTED:
         raise UsageError(
-            f"{table.name} has no report; choose an observer of kind {PLAIN} or {ADAPTIVE}, or "
+            f"{table.name} has no report; choose an observer of kind {', '.join(REPORTED)}, or "
             f"give --record"
         )
 

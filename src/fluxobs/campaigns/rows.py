@@ -13,7 +13,7 @@ from ..comparison.scoring import true_speed
 from ..logs.record import Record
 from . import scores
 from .columns import schema
-from .draws import Scenario, scenarios
+from .draws import LOST, Scenario, scenarios
 from .drives import Cell, cell_of
 from .in_loop import in_loop
 from .observed import NOISE, Candidate, ObservedRecord, Parameters, candidate, observe
@@ -118,11 +118,15 @@ def _batches(stream: Iterator[Simulated], size: int) -> Iterator[list[Simulated]
 
 
 def record_of(drive: Simulated, sample_time: float) -> Record:
-    """Return the log of a simulated drive, with the true angle."""
+    """Return the log of a simulated drive, with the true angle and without the lost samples."""
     trace = drive.trace
     assert trace is not None
     theta_e = np.asarray(trace.theta_e)
-    return Record(sample_time, trace.voltage, trace.current, lag=0.0, theta_e=theta_e)
+    current, share = trace.current, drive.scenario.values.get("lost", 0.0)
+    if share > 0:
+        lost = drive.scenario.generator(LOST).random(len(theta_e)) < share
+        current = np.where(lost, np.nan, np.asarray(current))
+    return Record(sample_time, trace.voltage, current, lag=0.0, theta_e=theta_e)
 
 
 def true_parameters(drive: Simulated, cell: Cell) -> Parameters:

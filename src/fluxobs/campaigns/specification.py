@@ -23,6 +23,10 @@ from .quantities import PARAMETERS, QUANTITIES, TOGETHER
 
 #: Names of the compiled observers; all other names are those of the comparison.
 PLAIN, ADAPTIVE = "plain", "adaptive"
+#: Name of the estimate of every row from the record before and behind it.
+WHOLE_LOG = "whole-log"
+#: Observers that `fluxobs estimate` runs, with reports.
+REPORTED = (PLAIN, ADAPTIVE, WHOLE_LOG)
 #: Largest number of scenarios per machine: numbers have seven digits.
 MOST = 10_000_000
 
@@ -134,7 +138,8 @@ class ObserverTable(Table):
     Parameters
     ----------
     kind : str
-        "plain", "adaptive", or an observer of `fluxobs compare`.
+        "plain", "adaptive", an observer of `fluxobs compare`, or "whole-log": the estimate of every
+        row, as by `fluxobs estimate`, in open loop.
     name : str, optional
         Name in rows and reports; default the kind.
     memory : float, optional
@@ -146,6 +151,9 @@ class ObserverTable(Table):
         validity flag; their position counts as valid above 5 % of the rated speed.
     machine : mapping
         Factors on the parameters that this observer assumes: R, L, psi.
+    file : str
+        Shipped machine that this observer assumes, for example one without the saturation of the
+        drive's machine; default the drive's machine.
     """
 
     kind: str
@@ -154,6 +162,7 @@ class ObserverTable(Table):
     unknowns: tuple[str, ...] | None = None
     gains: dict[str, Number] | None = None
     machine: dict[str, Positive] = {}
+    file: str = ""
 
     @model_validator(mode="after")
     def _check_settings(self) -> ObserverTable:
@@ -167,6 +176,12 @@ class ObserverTable(Table):
         for key in self.machine:
             if key not in ("R", "L", "psi"):
                 raise ValueError(f"machine: give factors on R, L, psi; got {key!r}")
+        if self.kind == WHOLE_LOG and self.gains:
+            raise ValueError(f"{WHOLE_LOG} has no gains")
+        if self.file and self.file not in example_names():
+            raise ValueError(
+                f"file: no shipped machine {self.file!r}{nearest(self.file, example_names())}"
+            )
         if not self.name:
             object.__setattr__(self, "name", self.kind)
         return self
@@ -283,6 +298,15 @@ class Specification(Table):
             raise ValueError(f"observers need different names (name = …), got {names}")
         if len(set(self.machines)) != len(self.machines):
             raise ValueError(f"machines: each machine may be given only once, got {self.machines}")
+        if self.loop == "closed":
+            if any(table.kind == WHOLE_LOG for table in self.observers):
+                raise ValueError(f'{WHOLE_LOG} needs all samples of a log: use loop = "open"')
+            if "lost" in self.vary:
+                raise ValueError('vary: lost applies only with loop = "open"')
+        if "lost" in self.vary:
+            for table in self.observers:
+                if table.kind not in REPORTED:
+                    raise ValueError(f"vary: {table.kind} cannot run with lost samples")
         if self.good.losses is not None and self.loop == "open":
             raise ValueError('good.losses applies only with loop = "closed"')
         return self

@@ -13,7 +13,7 @@ import polars as pl
 from ..page import built
 from .chunk import specification_of
 from .dataset import WORST, Dataset
-from .specification import ADAPTIVE, PLAIN, Specification
+from .specification import REPORTED, Specification
 
 #: Number of worst scenarios whose records are written, per observer.
 KEPT = 10
@@ -74,7 +74,7 @@ class RecordTask:
         for repeated in rerun(specification, worst.numbers, worst.observer):
             name = stem(specification, repeated.number, worst.observer)
             path = Path(self.folder) / WORST / name
-            if repeated.table.kind in (PLAIN, ADAPTIVE) and can_report():
+            if repeated.table.kind in REPORTED and can_report():
                 repeated.estimate().write(path.with_suffix(".html"))
             write_record(repeated, path.with_suffix(".parquet"))
 
