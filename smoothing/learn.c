@@ -38,8 +38,8 @@ enum { ITERATIONS = 16, FLUX_FIRST = 3, POLISHING = 2 };
 enum { MISFIT_BLOCKS = 3 };
 /* If a larger share of the blocks does not fit, the model is wrong, not a stretch of the log. */
 #define MOST_DOUBTFUL 0.1
-/* What happens in a stretch that does not fit: the flux, and this share of the magnet flux, may
- * jump in each of its blocks. */
+/* What happens in a stretch that does not fit: the flux may jump in each of its blocks, and this
+ * share of the magnet flux at its start. */
 #define PSI_JUMP 0.3
 /* Rounds in which stretches are found and left out. */
 enum { DOUBTFUL_ROUNDS = 2 };
@@ -133,7 +133,7 @@ static void set_variances(fo_work *w, const double p[FO_P], const double *covari
         if (w->doubtful[b]) {
             const double jump = PSI_JUMP * m->flux_base;
             block->walk[0] += m->flux_base * m->flux_base;
-            block->walk[2] += jump * jump;
+            if (b == 0 || !w->doubtful[b - 1]) block->walk[2] += jump * jump;
         }
     }
 }

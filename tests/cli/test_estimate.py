@@ -29,8 +29,8 @@ def folder(tmp_path):
     return tmp_path
 
 
-def estimate(folder, *more, log="log.csv", out="out.parquet"):
-    arguments = ("estimate", log, "--machine", "motor.toml", "--out", out, "--force", "--lag", "0")
+def estimate(folder, *more, log="log.csv", out="out.parquet", lag=("--lag", "0")):
+    arguments = ("estimate", log, "--machine", "motor.toml", "--out", out, "--force", *lag)
     return fluxobs(*arguments, *more, folder=folder)
 
 
@@ -82,7 +82,7 @@ def test_record_file_and_override(folder):
     (folder / "record.toml").write_text(
         'lag = -1\nsample_time = 1e-4\n[truth]\ntheta_mech = "angle"\n[columns]\nt = "t"\n'
     )
-    done = estimate(folder, "--record", "record.toml")
+    done = estimate(folder, "--record", "record.toml", lag=())
     assert "1 sample late " in done.stdout
     assert "theta_e_error" in pl.read_parquet(folder / "out.parquet").columns
     assert "(lag 0)" in estimate(folder, "--record", "record.toml", "--lag", "0").stdout

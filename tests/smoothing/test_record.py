@@ -225,3 +225,28 @@ def test_the_right_model_is_at_the_bound():
         SERVO, samples.theta, np.stack([i.real, i.imag], axis=1), H, Unknowns(0.02, drift)
     )
     assert 0.97 < np.sqrt(np.mean(squares) / np.mean(bound**2)) < 1.05
+
+
+def test_magnets_that_weaken_do_not_change_the_rows_before():
+    """A quarter of the magnet flux is lost within 5 ms: both sides keep their own flux."""
+    rows, parts = 20_000, 8
+    t = H / parts * np.arange(rows * parts)
+    speed = np.interp(t, [0, 0.3, 0.8, 1.1, 2], [200, 500, 500, 800, 600])
+    load = np.interp(t, [0, 0.2, 0.21, 0.7, 0.71, 1.5, 1.51, 2], [2, 2, 8, 8, 3, 3, 9, 9])
+    psi = SERVO.psi_f * (1 - 0.25 * np.clip((t - 1.2) / 0.005, 0, 1))
+    turned = np.exp(1j * np.cumsum(speed) * H / parts)
+    i = 1j * load * turned
+    u = SERVO.R_s * i + np.gradient(SERVO.L_s * i + psi * turned, t)
+    rng = np.random.default_rng(0)
+    noise = 0.02 * (rng.standard_normal(rows) + 1j * rng.standard_normal(rows))
+    result = fluxobs.estimate(
+        (u.reshape(rows, parts).mean(axis=1), i[::parts] + noise), SERVO, sample_time=H, lag=0
+    )
+    error = np.abs(wrap(result["theta_e"] - np.angle(turned[::parts])))
+    valid = result["valid"]
+    assert valid[:11_000].mean() > 0.95
+    assert np.degrees(error[valid].max()) < 3
+    ((start, end),) = result.budget.stretches
+    assert 1.1 < start < 1.2 < end < 1.3
+    assert result["psi_f"][11_000] == pytest.approx(SERVO.psi_f, rel=0.01)
+    assert result["psi_f"][-1000] == pytest.approx(0.75 * SERVO.psi_f, rel=0.01)

@@ -71,8 +71,7 @@ export function budgeted(columns, budget) {
     let sum = 0;
     layers.forEach((variances, n) => (stacked[n][k] = sum += variances[at]));
   }
-  stacked.forEach((values, n) => (columns[layer(n)] = values));
-  return columns;
+  return { ...columns, ...Object.fromEntries(stacked.map((values, n) => [layer(n), values])) };
 }
 
 // The panel of the error budget: variance of the position by cause.

@@ -253,7 +253,7 @@ def in_parallel(function: Callable[[Item], Done], items: Iterable[Item]) -> Iter
         pending: deque[Future[Done]] = deque()
         for item in items:
             pending.append(pool.submit(function, item))
-            if len(pending) > workers:
+            if len(pending) >= workers:
                 yield pending.popleft().result()
         while pending:
             yield pending.popleft().result()

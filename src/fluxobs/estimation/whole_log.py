@@ -236,20 +236,29 @@ class WholeLog:
     def _learn_segments(self) -> None:
         """Learn the course of the parameters from segments of a long log."""
         learnings: list[list[Learning]] = [[] for _ in self.hypotheses]
-        for segment in self._segments():
-            self.count(len(segment.valid))
-            anchors = anchors_of(segment)
-            if anchors.sum() < LEAST_ANCHORS:
-                continue
-            model = self._model_for(segment, anchors)
+        for segment, records in in_parallel(self._learn_segment, self._anchored_segments()):
+            self._add_costs(records)
             time = float(segment.samples.t[len(segment.valid) // 2])
-            for n, record in enumerate(self._learn_lags(model, segment, anchors)):
+            for n, record in enumerate(records):
                 learnings[n].append(Learning(time, record.assumed, record.misfit))
         for n, hypothesis in enumerate(self.hypotheses):
             if self.model is not None and learnings[n]:
                 hypothesis.course = course_of(self.model, learnings[n])
         self._weigh()
         self.budget.misfit = self.course.misfit
+
+    def _anchored_segments(self) -> Iterator[Anchored]:
+        """Yield the segments whose angles are known; the first decides the model."""
+        for segment in self._segments():
+            self.count(len(segment.valid))
+            anchors = anchors_of(segment)
+            if anchors.sum() >= LEAST_ANCHORS:
+                self._model_for(segment, anchors)
+                yield segment
+
+    def _learn_segment(self, segment: Anchored) -> tuple[Anchored, list[SmoothedRecord]]:
+        anchors = anchors_of(segment)
+        return segment, self._learn_lags(self._model_for(segment, anchors), segment, anchors)
 
     def _model_for(self, rows: Anchored, anchors: NDArray[np.bool_]) -> SmoothingModel:
         """Return the model of the log; the first record decides the usual speed."""
@@ -271,10 +280,14 @@ class WholeLog:
     def _learn_lags(
         self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]
     ) -> list[SmoothedRecord]:
-        """Smooth and learn with each lag, and add to the costs."""
-        records = []
-        for hypothesis in self.hypotheses:
-            records.append(self._learn(model, later(rows, hypothesis.shift), anchors))
+        """Smooth and learn with each lag."""
+        return [
+            self._learn(model, later(rows, hypothesis.shift), anchors)
+            for hypothesis in self.hypotheses
+        ]
+
+    def _add_costs(self, records: list[SmoothedRecord]) -> None:
+        """Add what a record of each lag costs."""
         comparable = len({record.model.rows_per_block for record in records}) == 1
         best = min(records, key=rank)
         for hypothesis, record in zip(self.hypotheses, records, strict=True):
@@ -282,7 +295,6 @@ class WholeLog:
                 hypothesis.cost += record.cost
             elif record is not best:  # another start with other blocks fits this lag better
                 hypothesis.cost += UNLIKELY
-        return records
 
     def _samples(self, rows: Anchored, anchors: NDArray[np.bool_]) -> RecordSamples:
         scales, machine = self.run.scales, self.machine
@@ -414,6 +426,7 @@ class WholeLog:
         time = float(rows.samples.t[len(rows.valid) // 2])
         records = {}
         learnt = self._learn_lags(model, rows, anchors)
+        self._add_costs(learnt)
         for hypothesis, record in zip(self.hypotheses, learnt, strict=True):
             hypothesis.course = course_of(model, [Learning(time, record.assumed, record.misfit)])
             records[hypothesis.shift] = record
