@@ -59,7 +59,14 @@ def main() -> None:
         (folder / "machine.toml").write_text(MACHINE)
         started = time.perf_counter()
         command = [sys.executable, "-m", "fluxobs", "estimate", folder / "log.parquet"]
-        command += ["--machine", folder / "machine.toml", "--out", folder / "estimates.parquet"]
+        command += [
+            "--lag",
+            "0",
+            "--machine",
+            folder / "machine.toml",
+            "--out",
+            folder / "estimates.parquet",
+        ]
         subprocess.run(command, check=True)
         wall = time.perf_counter() - started
         memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20

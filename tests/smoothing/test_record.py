@@ -49,7 +49,7 @@ def record(samples):
     return RecordSamples(
         voltage,
         samples.current,
-        np.ones(len(angle), bool),
+        np.zeros(len(angle), int),
         angle,
         np.full(len(angle), 0.02),
     )

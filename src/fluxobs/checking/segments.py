@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from ..core.arrays import Array, runs
 from ..errors import FluxobsError
 from ..logs.log import Log
+from ..logs.quality.detect import Detector
+from ..logs.quality.marks import CLIPPED, HELD, NO_CURRENT, RANGE, REPEATED
 from ..logs.record import LAGS
-from ..logs.scales import excerpts
+from ..logs.scales import excerpts, scales_of
 from ..machines import RotatingMachine
 from ..machines.model.held import without_kinks
 
@@ -33,6 +35,8 @@ BRIDGED = 5
 #: times the median distance, SPIKE_LEAST times the signal's standard deviation, and twice the
 #: difference between the neighbours.
 SPIKE, SPIKE_LEAST = 30.0, 0.5
+#: Rows with one of these marks are in no segment.
+EXCLUDED = REPEATED | HELD | CLIPPED | RANGE
 #: Larger values [A], [V] cannot be measurements; their squares would overflow.
 ABSURD = 1e12
 
@@ -168,7 +172,14 @@ def cut_segments(
     voltage: list[Complex] = []
     truths: list[Array | None] = []
     share = machine.held_share(log.held, log.sample_time)
-    for excerpt in excerpts(log):
+    pieces = list(excerpts(log))
+    detector = Detector.of(scales_of(pieces, log.sample_time, log.path), None)
+    faulty: list[NDArray[np.bool_]] = []
+    idle: list[NDArray[np.bool_]] = []
+    for excerpt in pieces:
+        marks = detector.marks(excerpt)
+        faulty.append(np.asarray(marks & EXCLUDED > 0))
+        idle.append(np.asarray(marks & NO_CURRENT > 0))
         current.append(_clean(excerpt.current))
         voltage.append(without_kinks(_clean(excerpt.voltage), share))
         truths.append(excerpt.truth)
@@ -177,8 +188,11 @@ def cut_segments(
     emf = [u - resistance * i for u, i in zip(voltage_used, current_used, strict=True)]
     count = _segment_length(emf, log.sample_time)
     places, features = [], []
+    carries = not all(rows.all() for rows in idle)
     for number, i in enumerate(current):
-        finite = np.isfinite(i) & np.isfinite(voltage[number])
+        finite = np.isfinite(i) & np.isfinite(voltage[number]) & ~faulty[number]
+        if carries:  # without current the bridge may be off, and the voltages are not its own
+            finite &= ~idle[number]
         for first in range(0, len(i) - count + 1, max(1, count // 2)):
             # Other lags need voltages beyond both ends of the segment.
             if not finite[max(0, first + LAGS[0]) : first + count + LAGS[-1]].all():

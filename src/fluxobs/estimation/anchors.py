@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array, runs
 from ..core.output import ahead
+from ..logs.quality.marks import BRIDGE_OFF, NO_CURRENT
 from ..logs.time.aligned import Aligned, between, joined, less_lost
 from ..machines.model.frames import wrap
 from ..machines.model.inverter import InverterError
@@ -24,16 +25,10 @@ from .lag import shifted
 FEW_ANCHORS, POOR_ANCHOR_STD = 0.05, np.radians(12.0)
 #: Percentile of the speed that counts as usual.
 USUAL = 95
-#: A phase current that equals its extreme this often is clipped, within this share.
-CLIPPED_ROWS, CLIPPED_SHARE = 5, 1e-6
+#: Intervals behind a bridge that was off, whose voltages may still be wrong.
+LATE_INTERVALS = 2
 #: Gaps of at most this many voltages are interpolated.
 SHORT_GAP = 2
-#: A current or voltage beyond this multiple of its usual size is implausible.
-PLAUSIBLE = 10.0
-#: A current is an outlier if it is off the middle of its neighbours by this share of the usual
-#: current, and its neighbours differ by less than half of that.
-OUTLIER_SHARE = 0.25
-SIN_120 = 3**0.5 / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,64 +99,23 @@ def _short_gaps_filled(voltage: Array) -> Array:
     return filled
 
 
-def _clipped(current: Array) -> NDArray[np.bool_]:
-    """Return whether a phase current or its neighbour lies at the limit of its sensor."""
-    alpha, beta = current[:, 0], current[:, 1]
-    at_limit = np.zeros(len(current), bool)
-    for phase in (alpha, -alpha / 2 + SIN_120 * beta, -alpha / 2 - SIN_120 * beta):
-        for signed in (phase, -phase):
-            most = float(signed.max())
-            here = signed >= most * (1 - CLIPPED_SHARE)
-            if most > 0 and here.sum() >= CLIPPED_ROWS:
-                at_limit |= here
-    padded = np.concatenate([[False], at_limit, [False]])
-    return np.asarray(padded[:-2] | at_limit | padded[2:])
-
-
-def _plausible(values: Array, usual: float) -> Array:
-    """Return values with NaN in place of implausible ones."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        size = np.hypot(values[:, 0], values[:, 1])
-    return np.where((size < PLAUSIBLE * usual)[:, None], values, np.nan)
-
-
-def _less_outliers(current: Array, usual: float) -> Array:
-    """Return currents with NaN in place of single rows that contradict both neighbours."""
-    before, here, after = current[:-2], current[1:-1], current[2:]
-    off = here - (before + after) / 2
-    apart = after - before
-    limit = OUTLIER_SHARE * usual
-    wrong = (np.hypot(off[:, 0], off[:, 1]) > limit) & (
-        np.hypot(apart[:, 0], apart[:, 1]) < limit / 2
-    )
-    outlier = np.concatenate([[False], wrong, [False]])
-    return np.where(outlier[:, None], np.nan, current)
-
-
 def record_samples(
-    rows: Anchored,
-    anchors: NDArray[np.bool_],
-    inverter: InverterError | None,
-    usual_current: float,
-    usual_voltage: float,
+    rows: Anchored, anchors: NDArray[np.bool_], inverter: InverterError | None
 ) -> RecordSamples:
     """Return the samples for the smoother.
 
     Parameters
     ----------
     rows : Anchored
+        Rows with marks.
     anchors : (rows,) ndarray of bool
     inverter : InverterError, optional
         Its loss is subtracted from the voltages.
-    usual_current, usual_voltage : float
-        [A], [V].
     """
     samples = rows.samples
-    measured = _less_outliers(_plausible(samples.current, usual_current), usual_current)
-    finite = np.isfinite(measured).all(axis=1)
-    current = _filled(measured)
-    voltage = _short_gaps_filled(_plausible(samples.voltage, usual_voltage))
-    filled = samples._replace(current=current, voltage=voltage)
+    assert samples.marks is not None
+    current = _filled(samples.current)
+    filled = samples._replace(current=current, voltage=_short_gaps_filled(samples.voltage))
     if inverter is not None:
         filled = less_lost(filled, inverter, current[:1])
     at = np.flatnonzero(anchors)
@@ -169,10 +123,25 @@ def record_samples(
     return RecordSamples(
         filled.voltage,
         current,
-        finite & ~_clipped(current),
+        samples.marks,
         np.interp(np.arange(len(current)), at, turned),
         np.where(anchors, rows.angle_std, np.inf),
     )
+
+
+def without_bridge(rows: Anchored) -> Anchored | None:
+    """Return the rows with unknown voltages where no current flows; None if it flows always."""
+    marks = rows.samples.marks
+    assert marks is not None
+    off = marks & NO_CURRENT > 0
+    if not off.any() or off.all():
+        return None
+    late = off.copy()
+    for _ in range(LATE_INTERVALS):
+        late[1:] |= late[:-1]
+    voltage = np.where(late[:, None], np.nan, rows.samples.voltage)
+    marked = marks | BRIDGE_OFF * off
+    return replace(rows, samples=rows.samples._replace(voltage=voltage, marks=marked))
 
 
 def anchors_of(rows: Anchored) -> NDArray[np.bool_]:

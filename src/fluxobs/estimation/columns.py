@@ -112,7 +112,8 @@ def _compiled(
         )
     valid = columns.pop("valid")
     columns |= derived(machine, estimates, batch.current)
-    return columns | {"valid": valid}, estimates.valid
+    marks = np.zeros(len(batch.t), np.int64) if batch.marks is None else batch.marks
+    return columns | {"quality": marks, "valid": valid}, estimates.valid
 
 
 def _smoothed(
@@ -121,7 +122,11 @@ def _smoothed(
     assert isinstance(machine, RotatingMachine)
     columns, valid = _compiled(machine, batch, estimates)
     factor = 1.5 * machine.n_p
-    last = {"torque_std": factor * estimates.torque_std, "valid": columns.pop("valid")}
+    last = {
+        "torque_std": factor * estimates.torque_std,
+        "quality": columns.pop("quality"),
+        "valid": columns.pop("valid"),
+    }
     return columns | {"torque": factor * estimates.torque} | last, valid
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..logs.quality.marks import BRIDGE_OFF, NO_CURRENT
 from ..machines.model.flux_map import LinearMap
 from ..smoothing.assumptions import ITEMS, Calibration, with_scale
 from ..smoothing.record import Assumed, SmoothedRecord, SmoothingModel
@@ -31,6 +32,12 @@ def rank(record: SmoothedRecord) -> tuple[bool, float]:
     """
     fits = record.misfit < CONVERGED_MISFIT
     return (not fits, typical_std(record) if fits else record.misfit)
+
+
+def doubts_bridge(record: SmoothedRecord) -> bool:
+    """Whether rows without a current do not fit: their voltages may not be the machine's."""
+    idle = record.marks & NO_CURRENT > 0
+    return bool((idle & (record.outputs["doubtful"] > 0) & (record.marks & BRIDGE_OFF == 0)).any())
 
 
 def limit_of(model: SmoothingModel, name: str) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..core.arrays import Array
 from .columns import EstimateRows
+from .quality import Quality
 from .truth import TruthSamples
 
 #: Number of rows of the thinned-out log, and of the window around the first valid row, which is
@@ -56,6 +57,7 @@ class Statistics:
     # Value of each column in the last adapting row.
     last_adapting: dict[str, float] = field(default_factory=dict)
     truth: TruthSamples | None = None
+    quality: Quality = field(default_factory=Quality)
     thin: Series = field(default_factory=Series)
     detail: Series = field(default_factory=Series)
 
@@ -84,6 +86,8 @@ class Statistics:
         self.valid += int(valid.sum())
         for name, values in rows.columns.items():
             self.sums[name] = self.sums.get(name, 0.0) + float(values[valid].sum())
+        if "quality" in rows.columns:
+            self.quality.add(t, rows.columns["quality"])
         adapting = rows.more.get("adapting")
         if adapting is not None and adapting.any():
             row = int(np.flatnonzero(adapting)[-1])

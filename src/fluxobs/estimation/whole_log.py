@@ -7,7 +7,7 @@ in windows that overlap; its parameters are learnt from segments spread over the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -40,11 +40,12 @@ from .anchors import (
     record_samples,
     rows_between,
     usual_speed,
+    without_bridge,
 )
 from .budget import Budget
 from .columns import EstimateRows, rows_of
 from .course import Course, Learning, course_of, no_course
-from .fit import contradiction, inductance_error, inverter_loss, rank, typical_std
+from .fit import contradiction, doubts_bridge, inductance_error, inverter_loss, rank, typical_std
 from .lag import LEAST_WEIGHT, LagDecision, mixed, weights_of
 from .statistics import THIN_ROWS, Statistics
 
@@ -297,10 +298,8 @@ class WholeLog:
                 hypothesis.cost += UNLIKELY
 
     def _samples(self, rows: Anchored, anchors: NDArray[np.bool_]) -> RecordSamples:
-        scales, machine = self.run.scales, self.machine
-        inverter = machine.inverter if self.run.log.inverter is None else None
-        usual = max(scales.current, machine.rated_current or 0.0)
-        return record_samples(rows, anchors, inverter, usual, scales.voltage)
+        inverter = self.machine.inverter if self.run.log.inverter is None else None
+        return record_samples(rows, anchors, inverter)
 
     def _start(self, model: SmoothingModel) -> Assumed:
         """Return the parameters that the observer learnt."""
@@ -331,7 +330,7 @@ class WholeLog:
             if best is None or rank(record) < rank(best):
                 best = record
             sure = best.misfit < SUSPICIOUS_MISFIT and typical_std(best) < VALID_STD
-            if sure and not isinstance(self.machine, InductionMachine):
+            if sure and not doubts_bridge(best) and not isinstance(self.machine, InductionMachine):
                 break
         assert best is not None
         return best
@@ -343,6 +342,12 @@ class WholeLog:
         samples = self._samples(rows, anchors)
         start = self._start(model)
         yield samples, start, model
+        off = without_bridge(rows)
+        if off is not None:
+            off, length = self._plain_angles(off)
+            known = anchors_of(off)
+            if known.sum() >= LEAST_ANCHORS:
+                yield self._samples(off, known), self._with_length(model, length), model
         if isinstance(self.machine, InductionMachine):
             yield samples, start, model.with_numbers(rotor_flux_start=0.0)
             return
@@ -356,10 +361,16 @@ class WholeLog:
                     speed=usual_speed(other, anchors, self.run.log.sample_time)
                 )
                 for guess in (start, model.prior()):
-                    if model.stds["psi_f"] > 0 and self.machine.saliency == 0 and length > 0:
-                        # The plain observer measures the flux, whatever the machine file says.
-                        guess = guess.with_deviation("psi_f", length - model.numbers["psi"])
-                    yield samples, guess, model
+                    yield samples, self._with_length(model, length, guess), model
+
+    def _with_length(
+        self, model: SmoothingModel, length: float, start: Assumed | None = None
+    ) -> Assumed:
+        """Return assumptions with the magnet flux that the plain observer measures, if any."""
+        start = model.prior() if start is None else start
+        if model.stds["psi_f"] > 0 and self.machine.saliency == 0 and length > 0:
+            return start.with_deviation("psi_f", length - model.numbers["psi"])
+        return start
 
     def _plain_angles(self, rows: Anchored) -> tuple[Anchored, float]:
         """Return the rows with the angles of the plain observer, and its length of λ - L i [Wb].
@@ -390,17 +401,36 @@ class WholeLog:
         else:
             middle = float(rows.samples.t[(window.first + window.last) // 2])
             records = [
-                smooth_record(
+                self._with_course(
                     model,
-                    self._samples(later(rows, hypothesis.shift), anchors),
+                    later(rows, hypothesis.shift),
+                    anchors,
                     hypothesis.course.at(middle, model),
-                    learning=False,
                 )
                 for hypothesis in self.hypotheses
             ]
         weights = [hypothesis.weight for hypothesis in self.hypotheses]
         record, square = mixed(records, weights)
         return SmoothedWindow(window, record, square, contradiction(model, record.assumed))
+
+    def _with_course(
+        self,
+        model: SmoothingModel,
+        rows: Anchored,
+        anchors: NDArray[np.bool_],
+        assumed: Assumed,
+    ) -> SmoothedRecord:
+        """Smooth with learnt parameters."""
+        record = smooth_record(model, self._samples(rows, anchors), assumed, learning=False)
+        if doubts_bridge(record):
+            off = without_bridge(rows)
+            assert off is not None
+            off, _ = self._plain_angles(off)
+            known = anchors_of(off)
+            if known.sum() >= LEAST_ANCHORS:
+                other = smooth_record(model, self._samples(off, known), assumed, learning=False)
+                record = min(record, other, key=rank)
+        return record
 
     def _finished(self, smoothed: SmoothedWindow) -> EstimateRows:
         """Return the estimates of the rows of a window, and add them to the budget."""
@@ -417,7 +447,8 @@ class WholeLog:
         self._add_budget(rows, record, estimates, first, last)
         doubtful = record.outputs["doubtful"][first:last] > 0
         self.budget.add_stretches(rows.samples.t[first:last], doubtful)
-        return self._columns(rows, estimates, first, last)
+        marked = replace(rows, samples=rows.samples._replace(marks=record.marks))
+        return self._columns(marked, estimates, first, last)
 
     def _learn_window(
         self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]

@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import FluxobsError, MachineError, ObserverError, RecordError
 from ..logs.formats import BATCH
 from ..logs.log import Log
+from ..logs.quality.detect import Detector
 from ..logs.scales import Scales, excerpts, measure_scales
 from ..logs.time.aligned import Aligned, between
 from ..machines import Machine, RotatingMachine
@@ -62,7 +63,15 @@ class Prepared:
     samples: Aligned | None = None
 
     def aligned(self, first: int | None = None, last: int | None = None) -> Iterator[Aligned]:
-        """Yield rows first … last - 1 of the log in batches; by default all rows."""
+        """Yield rows first … last - 1 of the log in batches, with marks; by default all rows."""
+        if not isinstance(self.machine, RotatingMachine):
+            yield from self._batches(first, last)
+            return
+        detector = Detector.of(self.scales, self.machine.rated_current)
+        for batch in self._batches(first, last):
+            yield detector.marked(batch)
+
+    def _batches(self, first: int | None, last: int | None) -> Iterator[Aligned]:
         if self.samples is None:
             yield from self.log.aligned(first, last, self.batch)
             return

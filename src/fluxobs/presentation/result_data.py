@@ -32,6 +32,10 @@ def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[s
         "drift": [means[f"drift_{port}"] for port in result.machine.ports] if means else None,
         "parameters": _parameters(result),
         "budget": _budget(result),
+        "quality": {
+            name: {"rows": entry.rows, "stretches": entry.count, "first": entry.stretches[:10]}
+            for name, entry in statistics.quality.marked.items()
+        },
         "error": None,
         "truth": None,
         "notes": list(log.notes),

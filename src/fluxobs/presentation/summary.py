@@ -6,13 +6,18 @@ import numpy as np
 
 from ..checking.findings import Check
 from ..estimation.learning import UNSEEN, learning_segments, parameters
+from ..estimation.quality import times_of
 from ..estimation.run import LogRun
 from ..estimation.truth import TruthFit
+from ..logs.quality.marks import MARKS
 from ..logs.record import lag_in_words
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
 from ..observers.immersed import UNSEEN_BIAS
 
+#: Marks that are no faults, and the number of stretches that the summary names.
+EVENTS = tuple(mark.name for mark in MARKS if not mark.fault)
+NAMED_MARKS = 3
 #: Contributions that the summary names.
 BUDGET_ITEMS = 3
 
@@ -48,6 +53,7 @@ def paragraph(result: LogRun, checked: Check | None, truth: TruthFit | None) -> 
         *_flux(result),
         *_parameters(result),
         *_score(result, truth),
+        *_quality(result),
         *_budget(result),
         *([checked.untold] if checked is not None and checked.untold else []),
     ]
@@ -169,6 +175,18 @@ def _parameters(result: LogRun) -> list[str]:
     if unidentified:
         sentences.append(f"Not identifiable from this log: {', '.join(unidentified)}.")
     return sentences
+
+
+def _quality(result: LogRun) -> list[str]:
+    """Count the rows with marks that are no faults."""
+    marked = result.statistics.quality.marked
+    events = [
+        f"{name} on {marked[name].rows} rows ("
+        f"{times_of(marked[name].stretches, marked[name].count, NAMED_MARKS)})"
+        for name in EVENTS
+        if name in marked
+    ]
+    return [f"Marks: {'; '.join(events)}."] if events else []
 
 
 def _budget(result: LogRun) -> list[str]:

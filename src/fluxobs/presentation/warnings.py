@@ -9,8 +9,10 @@ from ..estimation.columns import is_position
 from ..estimation.course import CONVERGED_MISFIT
 from ..estimation.fit import CONTRADICTION
 from ..estimation.learning import doubtful
+from ..estimation.quality import times_of
 from ..estimation.run import LogRun
 from ..estimation.truth import TruthFit
+from ..logs.quality.marks import MARKS
 from ..machines import RotatingMachine
 from ..machines.model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
@@ -24,8 +26,11 @@ VALID_SHARE = 0.5
 #: A summary is meaningful if the log lasts this many memories: after three memories, e⁻³ = 5 % of
 #: the initial error remains. With unknown resistance or inverter, no position is valid earlier.
 MEMORIES, MEMORIES_ADAPTIVE = 3, 5
-#: Number of stretches that a warning names.
-NAMED_STRETCHES = 5
+#: Number of stretches that a warning names, in all and of each mark.
+NAMED_STRETCHES, NAMED_MARKS = 5, 3
+#: Marks of faults, and those that explain why a stretch does not fit.
+FAULT_NAMES = tuple(mark.name for mark in MARKS if mark.fault)
+EXPLAINING = ("missing", "repeated", "held", "clipped", "bridge off")
 #: Warn of missing truth if a smaller share of the valid rows has a true value.
 TRUTH_SHARE = 0.99
 #: A voltage below this multiple of the resistive drop means standstill or very slow rotation.
@@ -80,21 +85,29 @@ def _misfit(result: LogRun) -> list[str]:
             "together explains, so few rows or none are valid. Check the machine file, the columns "
             "with their scales and signs, and --lag."
         ]
-    return _stretches(budget.stretches)
+    return _stretches(result, budget.stretches)
 
 
-def _stretches(stretches: list[tuple[float, float]]) -> list[str]:
-    """Name the stretches that contradict the record before and behind them."""
-    if not stretches:
+def _stretches(result: LogRun, stretches: list[tuple[float, float]]) -> list[str]:
+    """Name the stretches that contradict the record, unless their marks explain them."""
+    explained = [
+        stretch
+        for name in EXPLAINING
+        if name in result.statistics.quality.marked
+        for stretch in result.statistics.quality.marked[name].stretches
+    ]
+    unknown = [
+        (start, end)
+        for start, end in stretches
+        if not any(first <= end and start <= last for first, last in explained)
+    ]
+    if not unknown:
         return []
-    named = [f"{start:.4g} to {end:.4g} s" for start, end in stretches[:NAMED_STRETCHES]]
-    more = len(stretches) - len(named)
-    if more:
-        named.append(f"{more} more")
     return [
         f"These stretches contradict the record before and behind them, so they are not valid and "
-        f"teach nothing: {', '.join(named)}. Something happened there that the columns do not "
-        f"show: a bridge that was off, clipped or repeated samples, a jump of a parameter."
+        f"teach nothing: {times_of(unknown, len(unknown), NAMED_STRETCHES)}. Something happened "
+        f"there that the columns do not show: a bridge that was off, a fast fault, a jump of a "
+        f"parameter."
     ]
 
 
@@ -112,18 +125,25 @@ def _reciprocity(result: LogRun) -> list[str]:
 
 
 def _samples(result: LogRun) -> list[str]:
-    counts = result.counts
+    counts, marked = result.counts, result.statistics.quality.marked
     bad = [
-        f"{number} {fault}"
-        for number, fault in (
-            (counts.bad_currents, "without a current (bridged)"),
-            (counts.bad_voltages, "without a voltage (bridged)"),
-            (counts.absurd, "with an implausible value"),
-            (counts.outliers, "that contradict the others (outliers, ignored)"),
-            (counts.outside, "with a current outside the machine's flux map (not valid)"),
-        )
-        if number
+        f"{entry.rows} {name} ({times_of(entry.stretches, entry.count, NAMED_MARKS)})"
+        for name, entry in marked.items()
+        if name in FAULT_NAMES
     ]
+    if result.plain is None:
+        bad = [
+            f"{number} {fault}"
+            for number, fault in (
+                (counts.bad_currents, "without a current (bridged)"),
+                (counts.bad_voltages, "without a voltage (bridged)"),
+                (counts.absurd, "with an implausible value"),
+                (counts.outliers, "that contradict the others (outliers, ignored)"),
+            )
+            if number
+        ]
+    if counts.outside:
+        bad.append(f"{counts.outside} with a current outside the machine's flux map (not valid)")
     if not bad:
         return []
     restarts = f"; observer restarts: {counts.restarts}" if counts.restarts else ""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .. import _smoother
 from ..core.arrays import Array
+from ..logs.quality.marks import NO_MEASUREMENT
 from ..logs.scales import Scales
 from ..machines import InductionMachine, RotatingMachine
 from ..machines.model.flux_map import LinearMap
@@ -185,17 +186,22 @@ class RecordSamples:
         Mean over the interval that ends at the row [V]; NaN if it is unknown.
     current : (rows, 2) ndarray
         [A], finite.
-    measured : (rows,) ndarray of bool
-        Whether the current is a measurement, not interpolated or clipped.
+    marks : (rows,) ndarray of int
+        See :mod:`fluxobs.logs.quality.marks`.
     angle, angle_std : (rows,) ndarray
         Angle of the observer [rad] and its standard deviation; inf where it is not known.
     """
 
     voltage: Array
     current: Array
-    measured: NDArray[np.bool_]
+    marks: NDArray[np.int64]
     angle: Array
     angle_std: Array
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Whether the current of a row is a measurement."""
+        return np.asarray(self.marks & NO_MEASUREMENT == 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +224,8 @@ class SmoothedRecord:
         Name → (rows,) array, see smoothing/estimate.h.
     known : (rows,) ndarray of bool
         Whether a row is measured, and fits the model.
+    marks : (rows,) ndarray of int
+        Of the samples in use.
     shares : (blocks, len(QUANTITIES), len(SHARES)) ndarray
         Shares of the variance of each quantity in each block.
     """
@@ -228,6 +236,7 @@ class SmoothedRecord:
     cost: float
     outputs: dict[str, Array]
     known: NDArray[np.bool_]
+    marks: NDArray[np.int64]
     shares: Array
 
 
@@ -274,5 +283,12 @@ def smooth_record(
     correlation = min(max(float(about[1]), 0.0), MOST_CORRELATION)
     cost = float(about[2]) * (1 - correlation) / (1 + correlation)
     return SmoothedRecord(
-        model, learnt, float(about[0]), cost, outputs, known > 0, np.asarray(shares)
+        model,
+        learnt,
+        float(about[0]),
+        cost,
+        outputs,
+        known > 0,
+        samples.marks,
+        np.asarray(shares),
     )

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.arrays import Array
 from ...machines.model.frames import Frame, alphabeta_current, native_voltage, rotate, wrap
@@ -18,19 +19,22 @@ class Aligned(NamedTuple):
     """Aligned rows: time [s], current, mean voltage over the interval that ends at the row, truth.
 
     The truth is the scaled channel, e.g. an electrical or mechanical angle [rad] or a position [m].
+    The marks, if any, are those of :mod:`fluxobs.logs.quality`.
     """
 
     t: Array
     current: Array
     voltage: Array
     truth: Array | None
+    marks: NDArray[np.int64] | None = None
 
 
 def between(piece: Aligned, first: int, last: int) -> Aligned:
     """Return rows first … last - 1 of aligned rows."""
     truth = None if piece.truth is None else piece.truth[first:last]
+    marks = None if piece.marks is None else piece.marks[first:last]
     t, current, voltage = (column[first:last] for column in piece[:3])
-    return Aligned(t, current, voltage, truth)
+    return Aligned(t, current, voltage, truth, marks)
 
 
 def joined(pieces: Sequence[Aligned]) -> Aligned:
@@ -39,7 +43,14 @@ def joined(pieces: Sequence[Aligned]) -> Aligned:
         np.concatenate(column) for column in zip(*(piece[:3] for piece in pieces), strict=True)
     )
     truth = [piece.truth for piece in pieces if piece.truth is not None]
-    return Aligned(t, current, voltage, np.concatenate(truth) if truth else None)
+    marks = [piece.marks for piece in pieces if piece.marks is not None]
+    return Aligned(
+        t,
+        current,
+        voltage,
+        np.concatenate(truth) if truth else None,
+        np.concatenate(marks) if marks else None,
+    )
 
 
 def less_lost(rows: Aligned, inverter: InverterError, before: Array) -> Aligned:

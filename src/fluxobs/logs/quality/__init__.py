@@ -1,0 +1,1 @@
+"""Quality of the rows of a log: marks from the signals alone, and rows without faulty samples."""

@@ -1,0 +1,104 @@
+"""The marks of a row: what each means, how it is found, and what an estimate does with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A mark.
+
+    Attributes
+    ----------
+    name : str
+    bit : int
+        Value in the column `quality`, a sum of marks.
+    meaning, found, use : str
+        What the row is, how it is found, what an estimate does with it.
+    fault : bool
+        Whether the log is at fault; some marks are normal events.
+    """
+
+    name: str
+    bit: int
+    meaning: str
+    found: str
+    use: str
+    fault: bool = True
+
+
+MARKS = (
+    Mark(
+        "missing",
+        1,
+        "a current or the voltage has no value",
+        "empty or not finite",
+        "a current is bridged if the current turns by less than 3 rad; after a longer gap of the "
+        "voltage the flux may jump",
+    ),
+    Mark(
+        "repeated",
+        2,
+        "the logger wrote an earlier row again",
+        "currents and voltages equal those of the row before bit by bit, which noise or rotation "
+        "would not leave",
+        "current and voltage are missing",
+    ),
+    Mark(
+        "held",
+        4,
+        "the current is that of an earlier row, for example where a shunt cannot measure",
+        "currents equal those of the row before bit by bit, the voltages do not",
+        "the current is missing",
+    ),
+    Mark(
+        "clipped",
+        8,
+        "a phase current is at the end of its converter",
+        "a phase stays within the resolution at its extreme, although it enters and leaves with a "
+        "slope",
+        "the current is missing",
+    ),
+    Mark(
+        "out of range",
+        16,
+        "a current or voltage is impossibly large",
+        "ten times the usual size",
+        "the value is missing",
+    ),
+    Mark(
+        "outlier",
+        32,
+        "a single current contradicts its neighbours",
+        "off the middle of its neighbours by a quarter of the usual current, while these agree",
+        "the current is missing",
+    ),
+    Mark(
+        "no current",
+        64,
+        "the bridge may be off",
+        "|i| below 2 % of its usual size and noise for 20 rows",
+        "if the voltages contradict the flux there, they are taken as unknown",
+        fault=False,
+    ),
+    Mark(
+        "bridge off",
+        128,
+        "no current flows, and the logged voltages are not those of the machine",
+        "a log with these voltages does not fit; without them it does",
+        "the voltage is unknown; the flux may jump, and the rows are not valid",
+    ),
+)
+
+MISSING, REPEATED, HELD, CLIPPED, RANGE, OUTLIER, NO_CURRENT, BRIDGE_OFF = (
+    mark.bit for mark in MARKS
+)
+#: Rows with one of these marks have no current of their own.
+NO_MEASUREMENT = MISSING | REPEATED | HELD | CLIPPED | RANGE | OUTLIER
+FAULTS = sum(mark.bit for mark in MARKS if mark.fault)
+
+
+def names_of(quality: int) -> list[str]:
+    """Return the names of the marks in a value of the column `quality`."""
+    return [mark.name for mark in MARKS if quality & mark.bit]
