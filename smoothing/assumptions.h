@@ -16,6 +16,7 @@
     NAME(current_gain_im)                                                                      \
     NAME(voltage_gain_re)  /* unequal gains of the phase voltages, likewise [1]             */ \
     NAME(voltage_gain_im)                                                                      \
+    NAME(link_sag)         /* share of the voltages lost at the rated current [1]           */ \
     NAME(iron_loss)        /* current per induced voltage [A/V]                             */ \
     NAME(L_d)              /* share of the inductance, or of the flux of the current [1]    */ \
     NAME(L_q)                                                                                  \

@@ -102,6 +102,7 @@ static void interval_at(const fo_work *w, const double p[FO_P], size_t row, inte
     at->soft = w->soft[row];
     const vec gain = vec_of(p[FO_P_voltage_gain_re], p[FO_P_voltage_gain_im]);
     vec v = plus(at->voltage, product(gain, conjugate(at->voltage)));
+    v = minus(v, times(p[FO_P_link_sag] * share, at->voltage));
     v = minus(v, times(m->resistance + p[FO_P_resistance], at->mean));
     v = minus(v, times(p[FO_P_inverter_hard], at->hard.sign));
     v = minus(v, times(p[FO_P_inverter_soft], at->soft.sign));
@@ -221,13 +222,14 @@ static void volt_second_columns(const fo_work *w, const double p[FO_P], const in
     column[FO_P_current_gain_im] = by_current(w, p, at, times(-1.0, turned(i)));
     column[FO_P_voltage_gain_re] = times(h, u);
     column[FO_P_voltage_gain_im] = times(h, turned(u));
+    column[FO_P_link_sag] = times(-h * length_of(at->mean) / m->current, at->voltage);
 }
 
 /* Assumptions that change the volt-seconds; they are summed over the rows. */
 static const int summed[] = {
     FO_P_resistance,      FO_P_inverter_hard,   FO_P_inverter_soft,   FO_P_inverter_curve,
     FO_P_offset_alpha,    FO_P_offset_beta,     FO_P_current_gain_re, FO_P_current_gain_im,
-    FO_P_voltage_gain_re, FO_P_voltage_gain_im};
+    FO_P_voltage_gain_re, FO_P_voltage_gain_im, FO_P_link_sag};
 enum { SUMMED = sizeof summed / sizeof *summed };
 
 static void flux_columns(const fo_model *m, const double p[FO_P], const interval *at, const fo_relation *f,

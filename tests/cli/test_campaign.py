@@ -229,7 +229,7 @@ def test_only_observers_of_estimate_have_a_report(copy, tmp_path):
     (copy / "campaign.json").write_text(text.replace('"kind": "plain"', '"kind": "ekf"'))
     run = fluxobs("campaign", copy, "--rerun", "3", "--report", "r.html", folder=tmp_path)
     assert run.returncode == 2
-    assert "plain or adaptive, or give --record" in run.stderr
+    assert "plain, adaptive, whole-log, or give --record" in run.stderr
 
 
 def test_no_scenario_could_be_simulated(tmp_path):

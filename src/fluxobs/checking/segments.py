@@ -173,7 +173,8 @@ def cut_segments(
     truths: list[Array | None] = []
     share = machine.held_share(log.held, log.sample_time)
     pieces = list(excerpts(log))
-    detector = Detector.of(scales_of(pieces, log.sample_time, log.path), None)
+    scales = scales_of(pieces, log.sample_time, log.path)
+    detector = Detector(scales.current, scales.voltage, scales.current_noise)
     faulty: list[NDArray[np.bool_]] = []
     idle: list[NDArray[np.bool_]] = []
     for excerpt in pieces:

@@ -115,7 +115,11 @@ def record_samples(
     samples = rows.samples
     assert samples.marks is not None
     current = _filled(samples.current)
-    filled = samples._replace(current=current, voltage=_short_gaps_filled(samples.voltage))
+    unknown = np.asarray(
+        ~np.isfinite(samples.current).all(axis=1)
+    )  # the resistive drop is unknown there
+    voltage = np.where(unknown[:, None], np.nan, samples.voltage)
+    filled = samples._replace(current=current, voltage=_short_gaps_filled(voltage))
     if inverter is not None:
         filled = less_lost(filled, inverter, current[:1])
     at = np.flatnonzero(anchors)

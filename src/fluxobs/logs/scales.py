@@ -12,6 +12,7 @@ from ..core.arrays import Array
 from ..errors import RecordError
 from ..machines.model.frames import wrap
 from .log import Log
+from .quality.detect import Detector
 from .time.aligned import Aligned, between, joined
 
 #: Number of excerpts examined, evenly spread over a log, and rows of each excerpt.
@@ -76,9 +77,13 @@ def white_noise(signal: Array) -> float:
     with np.errstate(over="ignore", invalid="ignore"):  # garbage may overflow
         differences = np.diff(signal, 3, axis=0)
     rows = max(1, min(NOISE_ROWS, len(differences)))
-    blocks = differences[: len(differences) // rows * rows].reshape(-1, rows, 2)
+    blocks = differences[: len(differences) // rows * rows].reshape(-1, 2 * rows)
+    known = np.isfinite(blocks)
     with np.errstate(over="ignore", invalid="ignore"):
-        levels = np.mean(blocks**2, axis=(1, 2))
+        squares = np.where(known, blocks, 0.0) ** 2
+    counts = known.sum(axis=1)
+    enough = counts >= rows  # half of the block
+    levels = squares.sum(axis=1)[enough] / counts[enough]
     levels = levels[np.isfinite(levels)]
     return float(np.sqrt(np.median(levels) / 20)) if len(levels) else 0.0
 
@@ -96,12 +101,12 @@ def measure_scales(log: Log) -> Scales:
 
 def scales_of(pieces: Iterable[Aligned], sample_time: float, path: Path) -> Scales:
     """Return the scales from parts of a log; raise errors like :func:`measure_scales`."""
-    currents, voltages, noise, voltage_noise, turning = [], [], [], [], []
+    pieces = list(pieces)
+    currents, voltages, voltage_noise, turning = [], [], [], []
     for piece in pieces:
         turning.append(np.abs(wrap(np.diff(np.arctan2(piece.current[:, 1], piece.current[:, 0])))))
         currents.append(np.hypot(*piece.current.T))
         voltages.append(np.hypot(*piece.voltage.T))
-        noise.append(white_noise(piece.current))
         voltage_noise.append(white_noise(piece.voltage))
     angles = np.concatenate(turning)
     angles = angles[np.isfinite(angles)]
@@ -114,9 +119,13 @@ def scales_of(pieces: Iterable[Aligned], sample_time: float, path: Path) -> Scal
             raise RecordError(
                 f"{path}: the {quantity} is zero in every row; are column and scale right?"
             )
+    current, voltage = float(np.percentile(i, 95)) or float(i.max()), float(np.percentile(u, 95))
+    # Faulty rows would count as noise.
+    detector = Detector(current, voltage, 0.0)
+    noise = [white_noise(detector.measured(piece)) for piece in pieces]
     return Scales(
-        float(np.percentile(i, 95)) or float(i.max()),
-        float(np.percentile(u, 95)),
+        current,
+        voltage,
         float(np.median(noise)),
         float(np.median(voltage_noise)),
         float(np.percentile(angles, 95)) / sample_time if len(angles) else 0.0,

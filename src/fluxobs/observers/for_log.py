@@ -67,7 +67,9 @@ class Prepared:
         if not isinstance(self.machine, RotatingMachine):
             yield from self._batches(first, last)
             return
-        detector = Detector.of(self.scales, self.machine.rated_current)
+        scales = self.scales
+        usual = max(scales.current, self.machine.rated_current or 0.0)
+        detector = Detector(usual, scales.voltage, scales.current_noise)
         for batch in self._batches(first, last):
             yield detector.marked(batch)
 

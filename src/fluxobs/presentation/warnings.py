@@ -7,7 +7,6 @@ import numpy as np
 from ..checking.findings import Check
 from ..estimation.columns import is_position
 from ..estimation.course import CONVERGED_MISFIT
-from ..estimation.fit import CONTRADICTION
 from ..estimation.learning import doubtful
 from ..estimation.quality import times_of
 from ..estimation.run import LogRun
@@ -16,6 +15,7 @@ from ..logs.quality.marks import MARKS
 from ..machines import RotatingMachine
 from ..machines.model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
+from ..smoothing.assumptions import ITEMS
 from .summary import bias_is_seen, si
 
 #: Warn if an electrical period has fewer samples than this. With fewer samples, the error of the
@@ -74,10 +74,11 @@ def _misfit(result: LogRun) -> list[str]:
     if budget is None:
         return []
     if budget.contradiction:
+        item = next(item for item in ITEMS if item.name == budget.contradiction)
         return [
-            f"No row is valid: the log fits only if the error of the {budget.contradiction} were "
-            f"more than {CONTRADICTION:g} standard deviations of what is assumed of it. Check "
-            f"this value, the columns with their scales and signs, and --lag."
+            f"No row is valid: the log fits only with an error of the {item.name} far beyond what "
+            f"is assumed ({item.reason}). To mend it, {item.remedy}. Or check the columns with "
+            f"their scales and signs, and --lag."
         ]
     if budget.misfit > CONVERGED_MISFIT:
         return [
@@ -204,6 +205,8 @@ def _validity(result: LogRun) -> list[str]:
             "the log does not determine the lag of the voltages, and the positions with the two "
             f"usual lags differ by {np.degrees(result.lag.position_difference):.2g}°: state --lag"
         )
+    if result.budget is not None and result.budget.contradiction:
+        return []  # named already
     share = statistics.valid / statistics.rows
     return [f"The position is valid on only {share:.1%} of the rows: {reason}."]
 

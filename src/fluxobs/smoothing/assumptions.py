@@ -90,6 +90,12 @@ ITEMS = (
         "measure the phase voltages at a duty cycle of one half",
     ),
     Item(
+        "DC link",
+        ("link_sag",),
+        "1 % lower at the rated current: the log has no udc, or measures it before the cables",
+        "log the measured DC-link voltage",
+    ),
+    Item(
         "iron loss",
         ("iron_loss",),
         "a current of 2 % of the rated current at the usual voltage: usual no-load loss",
@@ -135,6 +141,7 @@ GIVEN: dict[str, tuple[tuple[str, ...], str]] = {
     "lag": (("lag", "delay"), "samples"),
     "current_gain": (("current_gain_re", "current_gain_im"), "1"),
     "voltage_gain": (("voltage_gain_re", "voltage_gain_im"), "1"),
+    "link_sag": (("link_sag",), "share at the rated current"),
     "iron_loss": (("iron_loss",), "share of the rated current"),
     "L_d": (("L_d",), "share"),
     "L_q": (("L_q",), "share"),
@@ -153,6 +160,7 @@ OFFSET_SHARE = 0.015
 CURRENT_GAIN_STD = ASYMMETRY_STD
 VOLTAGE_GAIN_STD = 0.005
 IRON_LOSS_SHARE = 0.02
+LINK_SAG_STD = 0.01
 INDUCTANCE_SHARE = 0.1
 HARMONIC_STD = 0.015
 ROTOR_RESISTANCE_SHARE, MAGNETIZING_SHARE = 0.3, 0.25
@@ -196,6 +204,7 @@ def prior_stds(
     stds["current_gain_re"] = stds["current_gain_im"] = CURRENT_GAIN_STD
     asymmetry = given.get("asymmetry", VOLTAGE_GAIN_STD)
     stds["voltage_gain_re"] = stds["voltage_gain_im"] = asymmetry
+    stds["link_sag"] = LINK_SAG_STD
     stds["iron_loss"] = IRON_LOSS_SHARE * rated / scales.voltage
     inductances = machine.inductance_stds(INDUCTANCE_SHARE)
     L_d, L_q = (

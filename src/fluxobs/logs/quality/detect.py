@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ...core.arrays import Array, runs
 from ...machines.model.frames import wrap
-from ..scales import Scales
 from ..time.aligned import Aligned
 from .marks import (
     CLIPPED,
@@ -26,17 +25,18 @@ from .marks import (
     RANGE,
     REPEATED,
 )
+from .outliers import outliers
 
 Flags = NDArray[np.bool_]
 
 #: A value beyond this multiple of its usual size is out of range.
 PLAUSIBLE = 10.0
-#: An outlier is off the middle of its neighbours by this share of the usual current.
-OUTLIER_SHARE = 0.25
 #: Expected number of false marks in a batch.
 FALSE_MARKS = 1e-3
 #: Rows on each side that give the usual step of a current.
 STEP_ROWS = 64
+#: Changes below this share of the current are rounding errors of a conversion.
+ROUNDING = 1e-9
 #: The voltages of a repeated row act up to this many rows later.
 LATE_ROWS = 3
 #: Values within this share of the extreme equal it: text with five decimals rounds them apart.
@@ -68,17 +68,17 @@ class Detector:
     voltage: float
     noise: float
 
-    @classmethod
-    def of(cls, scales: Scales, rated: float | None) -> Detector:
-        """Return the detectors for the sizes of a log and the rated current [A]."""
-        return cls(max(scales.current, rated or 0.0), scales.voltage, scales.current_noise)
-
     def marked(self, rows: Aligned) -> Aligned:
         """Return rows with marks, and without the values that the marks exclude."""
         marks = self.marks(rows)
-        current = np.where((marks & NO_MEASUREMENT > 0)[:, None], np.nan, rows.current)
+        current = self.measured(rows, marks)
         voltage = np.where(self._stale(rows, marks)[:, None], np.nan, rows.voltage)
         return rows._replace(current=bridged(current), voltage=voltage, marks=marks)
+
+    def measured(self, rows: Aligned, marks: NDArray[np.int64] | None = None) -> Array:
+        """Return the currents, NaN where they are no measurements."""
+        marks = self.marks(rows) if marks is None else marks
+        return np.where((marks & NO_MEASUREMENT > 0)[:, None], np.nan, rows.current)
 
     def marks(self, rows: Aligned) -> NDArray[np.int64]:
         """Return the sum of the marks of each row."""
@@ -91,7 +91,7 @@ class Detector:
         large_voltage = u >= PLAUSIBLE * self.voltage
         repeated, held = self._repeated(current, voltage, known)
         clipped = self._clipped(current, known & ~large)
-        outlier = self._outliers(current, known & ~large)
+        outlier = outliers(current, self.current) & known & ~large
         idle = _long(known & (size < IDLE_SHARE * self.current + 4 * self.noise), IDLE_ROWS)
         marks = np.zeros(len(current), np.int64)
         for flags, mark in (
@@ -125,10 +125,10 @@ class Detector:
         same &= known & (current != 0).any(axis=1)
         if not same.any():
             return none, none
-        moved = change[np.isfinite(change) & (change > 0)]
+        moved = change[np.isfinite(change) & (change > ROUNDING * self.current)]
         if not len(moved):
             return none, none
-        resolution = float(np.percentile(moved, 1))
+        resolution = float(moved.min())
         same_voltage = np.concatenate([[False], (voltage[1:] == voltage[:-1]).all(axis=1)])
         repeated, held = none.copy(), none.copy()
         steps = np.where(change > 0, change, np.nan)
@@ -145,16 +145,6 @@ class Detector:
             stands = same_voltage[start:late].sum() >= end - start - 1
             (repeated if stands and end - start > 1 else held)[start:end] = True
         return repeated, held
-
-    def _outliers(self, current: Array, known: Flags) -> Flags:
-        """Return single currents that contradict both neighbours."""
-        if len(current) < 3:
-            return np.zeros(len(current), bool)
-        off = _size(current[1:-1] - (current[:-2] + current[2:]) / 2)
-        apart = _size(current[2:] - current[:-2])
-        limit = OUTLIER_SHARE * self.current
-        wrong = (off > limit) & (apart < limit / 2)
-        return np.asarray(np.concatenate([[False], wrong, [False]]) & known)
 
     def _clipped(self, current: Array, known: Flags) -> Flags:
         """Return the rows of which a phase is at its extreme, and their neighbours."""

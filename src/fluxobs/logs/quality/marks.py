@@ -70,8 +70,8 @@ MARKS = (
     Mark(
         "outlier",
         32,
-        "a single current contradicts its neighbours",
-        "off the middle of its neighbours by a quarter of the usual current, while these agree",
+        "one or two currents contradict their neighbours",
+        "off its neighbours by a quarter of the usual current, and more than these differ",
         "the current is missing",
     ),
     Mark(
