@@ -35,6 +35,8 @@ PLAUSIBLE = 10.0
 FALSE_MARKS = 1e-3
 #: Rows on each side that give the usual step of a current.
 STEP_ROWS = 64
+#: Fewest changes of a component on each side.
+LEAST_STEPS = 16
 #: Changes below this share of the current are rounding errors of a conversion.
 ROUNDING = 1e-9
 #: The voltages of a repeated row act up to this many rows later.
@@ -49,6 +51,8 @@ OVERSHOOT = 5.0
 IDLE_SHARE, IDLE_ROWS = 0.02, 20
 #: Currents are bridged while the rotor turns by less than this [rad].
 LONGEST_BRIDGE = 3.0
+#: Most rows before a gap that tell how fast the current turns.
+TURN_ROWS = 8
 SIN_120 = 3**0.5 / 2
 
 
@@ -133,11 +137,15 @@ class Detector:
         repeated, held = none.copy(), none.copy()
         steps = np.where(change > 0, change, np.nan)
         for start, end in runs(same):
-            near = steps[max(0, start - STEP_ROWS) : end + STEP_ROWS]
-            near = near[np.isfinite(near)]
-            if len(near) < STEP_ROWS // 2:
-                continue  # the others stand still too
-            spread = float(np.median(near))
+            before = steps[max(0, start - STEP_ROWS) : start - 1]
+            after = steps[end : end + STEP_ROWS]  # the step that leaves the run is at end - 1
+            sides = [side[np.isfinite(side)] for side in (before, after)]
+            if min(len(side) for side in sides) < LEAST_STEPS:
+                continue  # the signal rests
+            spread = float(np.median(np.concatenate(sides)))
+            leaves = steps[end - 1] if end <= len(steps) - 1 else np.zeros(2)
+            if not np.nanmax(np.nan_to_num(leaves)) > spread / 2:
+                continue  # it starts to move from rest
             chance = min(1.0, resolution / spread) ** (2 * (end - start))
             if chance * len(current) > FALSE_MARKS:
                 continue
@@ -205,14 +213,17 @@ def bridged(current: Array) -> Array:
     if not missing.any():
         return current
     filled = current.copy()
-    for start, end in runs(np.asarray(missing)):
-        if start < 2 or end >= len(current) or missing[start - 2]:
+    last = 0  # end of the gap before
+    for start, end in runs(missing):
+        known = current[max(last, start - TURN_ROWS) : start]
+        last = end
+        if len(known) < 2 or end >= len(current):
             continue
-        (x0, y0), (x, y), (x1, y1) = current[start - 2], current[start - 1], current[end]
-        turn = float(wrap(np.arctan2(y, x) - np.arctan2(y0, x0)))
+        turns = wrap(np.diff(np.arctan2(known[:, 1], known[:, 0])))
         rows = end - start + 1
-        if abs(turn) * rows > LONGEST_BRIDGE:
+        if abs(float(np.mean(turns))) * rows > LONGEST_BRIDGE:
             continue
+        (x, y), (x1, y1) = known[-1], current[end]
         share = np.arange(1, rows) / rows
         size = np.hypot(x, y) + share * (np.hypot(x1, y1) - np.hypot(x, y))
         angle = np.arctan2(y, x) + share * wrap(np.arctan2(y1, x1) - np.arctan2(y, x))
