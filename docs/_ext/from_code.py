@@ -127,6 +127,22 @@ class Quantities(Markdown):
         return self.parsed(lines)
 
 
+class Marks(Markdown):
+    """Write the table of the marks of a row."""
+
+    def run(self) -> list[nodes.Node]:
+        from fluxobs.logs.quality.marks import MARKS
+
+        lines = ["| mark | value | meaning | found by | use |", "|---|---|---|---|---|"]
+        lines += [
+            f"| {mark.name} | {mark.bit} | {mark.meaning} | {mark.found} | {mark.use} |".replace(
+                "|i|", "\\|i\\|"
+            )
+            for mark in MARKS
+        ]
+        return self.parsed(lines)
+
+
 class Measures(Markdown):
     """Write the table of a campaign's columns."""
 
@@ -346,6 +362,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("outputs", Outputs)
     app.add_directive("options", Options)
     app.add_directive("quantities", Quantities)
+    app.add_directive("marks", Marks)
     app.add_directive("measures", Measures)
     app.add_directive("api", Api)
     app.connect("autodoc-skip-member", _skip)

@@ -14,8 +14,10 @@ from fluxobs.estimation.learning import (
     learning_segments,
     parameters,
 )
+from fluxobs.estimation.quality import Quality
 from fluxobs.estimation.statistics import Statistics
 from fluxobs.logs.for_machine import open_for
+from fluxobs.logs.quality.marks import CLIPPED, MISSING, NO_CURRENT, OUTLIER
 from fluxobs.logs.scales import Scales
 from fluxobs.machines import example
 from fluxobs.observers import AdaptiveObserver
@@ -116,13 +118,27 @@ def test_a_score_against_a_truth_with_wrong_turns_is_left_out(run):
 
 
 def test_bad_rows_are_counted(run):
-    counts = {"bad_currents": 3, "outliers": 2, "restarts": 4}
-    (message,) = warnings._samples(changed(run, counts))
+    quality = Quality()
+    marks = np.zeros(8, int)
+    marks[[1, 3, 4]], marks[6], marks[7] = MISSING, OUTLIER, NO_CURRENT
+    quality.add(0.1 * np.arange(8), marks)
+    counts = {"outside": 2, "restarts": 4}
+    (message,) = warnings._samples(changed(run, counts, quality=quality))
     assert message == (
-        "Bad rows: 3 without a current (bridged), 2 that contradict the others (outliers, "
-        "ignored); observer restarts: 4."
+        "Bad rows: 3 missing (0.1 s, 0.3 to 0.4 s), 1 outlier (0.6 s), 2 with a current outside "
+        "the machine's flux map (not valid); observer restarts: 4."
     )
-    assert warnings._samples(changed(run, {"restarts": 4})) == []
+    assert warnings._samples(changed(run, {"restarts": 4}, quality=Quality())) == []
+
+
+def test_a_mark_that_crosses_two_batches_is_one_stretch():
+    quality = Quality()
+    for n in range(2):
+        quality.add(
+            np.array([0.0, 1.0]) + 2 * n, np.array([0, CLIPPED] if n == 0 else [CLIPPED, 0])
+        )
+    entry = quality.marked["clipped"]
+    assert (entry.rows, entry.count, entry.stretches) == (2, 1, [(1.0, 2.0)])
 
 
 def run_at(run, speed):

@@ -18,7 +18,7 @@ SMOOTHED = [
     *("t", "flux_alpha", "flux_beta", "flux_alpha_std", "flux_beta_std", "psi_f", "psi_f_std"),
     *("theta_e", "theta_e_std", "speed_e", "speed_e_std", "drift_alpha", "drift_beta", "drift_std"),
     *("resistance", "resistance_std", "inverter_voltage", "inverter_voltage_std"),
-    *("torque", "speed_mech", "torque_std", "valid"),
+    *("torque", "speed_mech", "torque_std", "quality", "valid"),
 ]
 COLUMNS = [
     "t",
@@ -33,6 +33,7 @@ COLUMNS = [
     "theta_e_std",
     "torque",
     "speed_mech",
+    "quality",
     "valid",
 ]
 
