@@ -1,4 +1,4 @@
-"""The lag that nobody states: two hypotheses, weighed by the log."""
+"""The lag that nobody states: two hypotheses, weighed by the log; priors of the rest."""
 
 import numpy as np
 import pytest
@@ -126,6 +126,14 @@ def test_a_known_quantity_leaves_the_budget(samples):
     assert by_name[1]["lag"] == by_name[1]["harmonics"] == 0
     assert by_name[1]["L_s"] < 0.2 * by_name[0]["L_s"]
     assert known.budget.std < usual.budget.std
+
+
+def test_nothing_is_advised_that_is_stated_already(samples):
+    columns = log_columns(samples)
+    advised = fluxobs.estimate(columns, SERVO, lag=0).budget.advice
+    assert "identify the inductances" in advised
+    stated = SERVO.with_values(L_s_std=0.1 * SERVO.L_s)
+    assert "inductances" not in fluxobs.estimate(columns, stated, lag=0).budget.advice
 
 
 def test_the_scales_of_the_sensors_are_in_the_parameters(samples):

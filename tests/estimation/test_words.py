@@ -133,10 +133,8 @@ def test_bad_rows_are_counted(run):
 
 def test_a_mark_that_crosses_two_batches_is_one_stretch():
     quality = Quality()
-    for n in range(2):
-        quality.add(
-            np.array([0.0, 1.0]) + 2 * n, np.array([0, CLIPPED] if n == 0 else [CLIPPED, 0])
-        )
+    quality.add(np.array([0.0, 1.0]), np.array([0, CLIPPED]))
+    quality.add(np.array([2.0, 3.0]), np.array([CLIPPED, 0]))
     entry = quality.marked["clipped"]
     assert (entry.rows, entry.count, entry.stretches) == (2, 1, [(1.0, 2.0)])
 

@@ -206,7 +206,10 @@ const DEGREES = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 
 
 const tick = (v) => (v == null ? "" : String(Number(v.toPrecision(6))));
 
-// Shade the time without a valid position.
+// Marks of faults in the column `quality`: all but "no current" (logs/quality/marks.py).
+const FAULTS = ~64;
+
+// Shade the time without a valid position; a strip at the lower edge shows rows with a fault.
 function shade(view) {
   return (u) => {
     if (!view().has("valid")) return;
@@ -221,6 +224,18 @@ function shade(view) {
       const left = Math.max(bbox.left, u.valToPos(x[k], "x", true)),
         right = Math.min(bbox.left + bbox.width, u.valToPos(x[k + 1], "x", true));
       if (right > left) ctx.fillRect(left, bbox.top, Math.max(1, right - left), bbox.height);
+    }
+    if (view().has("quality")) {
+      const [t, marks] = view().sample(["quality"], min, max, width),
+        height = 4 * devicePixelRatio;
+      ctx.fillStyle = style("--red");
+      for (let k = 0; k < t.length - 1; k++) {
+        if (!(marks[k] & FAULTS)) continue;
+        const left = Math.max(bbox.left, u.valToPos(t[k], "x", true)),
+          right = Math.min(bbox.left + bbox.width, u.valToPos(t[k + 1], "x", true));
+        if (right >= left)
+          ctx.fillRect(left, bbox.top + bbox.height - height, Math.max(1, right - left), height);
+      }
     }
     ctx.restore();
   };

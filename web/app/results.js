@@ -246,7 +246,7 @@ export class Results {
             "p",
             { className: "hint" },
             ...zooms,
-            " Drag over a plot to zoom, double-click to show all. A shaded background marks rows without a valid position.",
+            " Drag over a plot to zoom, double-click to show all. A shaded background marks rows without a valid position, a red strip rows with a fault.",
           ),
           this.charts,
         ),

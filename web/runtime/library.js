@@ -702,7 +702,9 @@ const BaseModel = $class(
           else throw e;
         }
       }
-      const given_ = cls.model_fields.items().filter(([name, info]) => data.has(info.alias ?? name));
+      const given_ = cls.model_fields
+        .items()
+        .filter(([name, info]) => data.has(info.alias ?? name));
       $define(this, "model_fields_set", set(given_.map(([name]) => name)));
       const known = cls.model_fields.items().map(([name, info]) => info.alias ?? name);
       for (const [key, value] of $items(data))

@@ -71,13 +71,15 @@ class Budget:
         Torque [N m] per flux × current [W s].
     inductance : str
         Name of the only inductance of a machine without saliency, else an empty string.
+    stated : list of str
+        Items whose standard deviation somebody states; nothing is advised about them.
     rows : float
         Number of valid rows.
     variances : (len(QUANTITIES), items) ndarray
         Sum over the valid rows of each item's variance.
     t, series : lists of ndarray
         Times [s] and variances of the items, (n, len(QUANTITIES), items), thinned out for the
-        picture.
+        picture; NaN where no row is valid.
     misfit : float
         Mean square of the normalised innovations of the smoother; NaN if it did not run.
     stretches : list of (float, float)
@@ -88,6 +90,7 @@ class Budget:
 
     torque_factor: float = 1.0
     inductance: str = ""
+    stated: list[str] = field(default_factory=list)
     rows: float = 0.0
     variances: Array = field(default_factory=lambda: np.zeros((len(QUANTITIES), len(NAMES))))
     t: list[Array] = field(default_factory=list)
@@ -125,7 +128,8 @@ class Budget:
         self.rows += float(valid.sum())
         self.variances = self.variances + (valid[:, None, None] * items).sum(axis=0)
         self.t.append(t[::stride])
-        self.series.append(items[::stride])
+        known = (valid > 0)[:, None, None]
+        self.series.append(np.where(known, items, np.nan)[::stride])
 
     @property
     def names(self) -> list[str]:
@@ -160,7 +164,7 @@ class Budget:
                 float(speed[n]),
                 float(flux[n]),
                 float(torque[n]),
-                remedies.get(name, ""),
+                "" if name in self.stated else remedies.get(name, ""),
             )
             for n, name in enumerate(NAMES)
             if names[n]

@@ -20,7 +20,7 @@ from ..observers import AdaptiveObserver, LeastSquaresObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import LEAST_NOISE, Prepared, prepare
 from ..observers.outputs import outputs
-from ..smoothing.assumptions import Calibration
+from ..smoothing.assumptions import Calibration, stated_items
 from ..smoothing.estimate import VALID_STD, SmoothedEstimate, smoothed_estimate
 from ..smoothing.record import (
     QUANTITIES,
@@ -147,7 +147,11 @@ class WholeLog:
         self.priors, self.count = priors, count
         self.calibration = Calibration.of(priors)
         names = self.machine.inductance_names
-        self.budget = Budget(1.5 * self.machine.n_p, names[0] if len(names) == 1 else "")
+        self.budget = Budget(
+            1.5 * self.machine.n_p,
+            names[0] if len(names) == 1 else "",
+            stated_items(self.machine, priors),
+        )
         self.model: SmoothingModel | None = None
         self.hypotheses = [Hypothesis(shift) for shift in shifts]
         self.weights: dict[int, float] = {}

@@ -14,6 +14,7 @@ from ..core.validation import nearest
 from ..errors import UsageError
 from ..estimation.run import LogRun
 from ..estimation.truth import TruthFit
+from ..logs.quality.marks import MARKS
 from ..observers import ImmersionObserver
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 #: Figures up to this width have short titles [inch].
 PRINTED = 8.0
 #: A picture marks at most about this many gaps.
-MARKS = 200
+GAPS_SHOWN = 200
 RED = "#c0392b"
 GREY_LABEL = "        grey: position not valid"
 #: Title and unit of each parameter that the adaptive observer estimates.
@@ -35,6 +36,8 @@ PARAMETERS = {
 }
 
 
+#: Height of a strip of marks, as a share of its panel.
+STRIP = 0.05
 #: Causes that the budget names, and the colours of its layers.
 BUDGET_ITEMS = 5
 LAYERS = (BLUE, ORANGE, "#3a9d6e", "#8e6bbf", "#c9a227", "0.75")
@@ -136,6 +139,7 @@ def _draw(axes: Mapping[str, Axes], result: LogRun, fit: TruthFit | None) -> Non
             case "error":
                 _error(panel, scored, fit)
                 _gaps(panel, result)
+                _marks(panel, result)
             case "speed":
                 _speed(panel, scored)
             case "drift":
@@ -290,10 +294,30 @@ def _scored(series: dict[str, Array], fit: TruthFit | None) -> dict[str, Array]:
     return series | {"theta_e_error": error, "truth": series["theta_e"] - error}
 
 
+def _marks(axes: Axes, result: LogRun) -> None:
+    """Draw a strip for each mark of a fault along the lower edge."""
+    marked = result.statistics.quality.marked
+    names = [mark.name for mark in MARKS if mark.fault and mark.name in marked]
+    for n, name in enumerate(names):
+        place = STRIP * (n + 0.5)
+        for start, end in marked[name].stretches:
+            axes.plot(
+                [start, max(end, start + result.log.sample_time)],
+                [place, place],
+                transform=axes.get_xaxis_transform(),
+                color=LAYERS[n % len(LAYERS)],
+                linewidth=3,
+                solid_capstyle="butt",
+                label=name if start == marked[name].stretches[0][0] else None,
+            )
+    if names:
+        legend(axes)
+
+
 def _gaps(axes: Axes, result: LogRun) -> None:
     """Mark the gaps in the log."""
     times = result.log.clock.t[1:]
-    for n, t in enumerate(times[:: max(1, len(times) // MARKS)]):
+    for n, t in enumerate(times[:: max(1, len(times) // GAPS_SHOWN)]):
         axes.axvline(t, color=RED, linewidth=0.8, label="gap in the log" if n == 0 else None)
     if len(times):
         legend(axes)
@@ -355,7 +379,7 @@ def _budget(axes: Axes, result: LogRun) -> None:
     layers.append(factor * np.sum([series[name] for name in rest], axis=0))
     total = np.sum(layers, axis=0)
     axes.stackplot(series["t"], *layers, labels=[*shown, "others"], colors=LAYERS, linewidth=0)
-    axes.set_ylim(0, 1.1 * float(np.percentile(total, 95)))
+    axes.set_ylim(0, 1.1 * float(np.nanpercentile(total, 95)))
     legend(axes)
 
 

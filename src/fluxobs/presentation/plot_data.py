@@ -57,7 +57,7 @@ def _budget(run: LogRun) -> dict[str, Any] | None:
     budget = run.budget
     if budget is None or not budget.rows:
         return None
-    series = budget.columns()
+    series = {name: np.nan_to_num(values) for name, values in budget.columns().items()}
     names = [contribution.name for contribution in budget.contributions]
     layers = [series[name].tolist() for name in names[:BUDGET_LAYERS]]
     rest = np.stack([series[name] for name in names[BUDGET_LAYERS:]]).sum(axis=0)

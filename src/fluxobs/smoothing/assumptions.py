@@ -41,12 +41,15 @@ class Item:
         Where the default standard deviation comes from.
     remedy : str
         What to measure or to state so that the item becomes smaller.
+    stated_by : tuple of str
+        Fields of a machine file and names of priors that state its standard deviation.
     """
 
     name: str
     assumptions: tuple[str, ...]
     reason: str
     remedy: str
+    stated_by: tuple[str, ...]
 
 
 ITEMS = (
@@ -55,6 +58,7 @@ ITEMS = (
         ("resistance",),
         "R_s_std of the machine file; default half of R_s: copper alone changes by 40 % per 100 K",
         "measure R_s at operating temperature, and state R_s_std",
+        ("R_s_std", "resistance"),
     ),
     Item(
         "inverter",
@@ -63,43 +67,51 @@ ITEMS = (
         "resistive drop and 2 % of the DC link",
         "measure the inverter's voltage over the current at standstill, and state "
         "inverter_voltage and inverter_voltage_std",
+        ("inverter_voltage_std", "inverter"),
     ),
     Item(
         "lag",
         ("lag", "delay"),
         "0.15 samples of the voltages, 0.2 of the currents: sampling instants and filters of "
         "usual drives differ by up to half a sample",
-        "find the sampling instants in the drive's timing diagram, and state the lag",
+        "find the sampling instants in the drive's timing diagram, and state the lag and its "
+        "standard deviation (--lag, --prior lag=0.05)",
+        ("lag",),
     ),
     Item(
         "current offsets",
         ("offset_alpha", "offset_beta"),
         "1.5 % of the rated current: usual sensors without calibration",
         "record the currents with the bridge off, and subtract their mean",
+        ("offset",),
     ),
     Item(
         "current gains",
         ("current_gain_re", "current_gain_im"),
         "1 %: usual tolerance between the phases of sensors",
         "calibrate the gains of the current sensors against each other",
+        ("current_gain",),
     ),
     Item(
         "voltage gains",
         ("voltage_gain_re", "voltage_gain_im"),
         "0.5 %: phases of one bridge have nearly the same dead time",
         "measure the phase voltages at a duty cycle of one half",
+        ("voltage_gain", "asymmetry"),
     ),
     Item(
         "DC link",
         ("link_sag",),
         "1 % lower at the rated current: the log has no udc, or measures it before the cables",
         "log the measured DC-link voltage",
+        ("link_sag",),
     ),
     Item(
         "iron loss",
         ("iron_loss",),
         "a current of 2 % of the rated current at the usual voltage: usual no-load loss",
         "measure the no-load loss at two speeds",
+        ("iron_loss",),
     ),
     Item(
         "L_d",
@@ -107,32 +119,48 @@ ITEMS = (
         "L_d_std (L_s_std, L_sigma_std) of the machine file; default 10 %: data sheets and "
         "saturation",
         "identify the inductances with `fluxobs identify`, and state their standard deviations",
+        ("L_d_std", "L_s_std", "L_sigma_std", "L_d"),
     ),
     Item(
         "L_q",
         ("L_q", "saturation_q"),
         "L_q_std of the machine file; default 10 %: data sheets and saturation",
         "identify L_q with `fluxobs identify`, or give a flux map",
+        ("L_q_std", "L_q"),
     ),
     Item(
         "magnet flux",
         ("psi_f",),
         "psi_f_std of the machine file; default a quarter of the flux",
         "measure the back-EMF at no load, and state psi_f_std",
+        ("psi_f_std", "psi_f"),
     ),
     Item(
         "harmonics",
         ("fifth", "seventh"),
         "1.5 % of the magnet flux each: usual back-EMF waveforms",
         "measure the back-EMF's waveform at no load",
+        ("harmonics",),
     ),
     Item(
         "rotor",
         ("R_R", "L_M"),
         "30 % of R_R, 25 % of L_M: temperature and saturation",
         "identify R_R and L_M at operating temperature",
+        ("R_R_std", "R_R", "L_M"),
     ),
 )
+
+
+def stated_items(machine: RotatingMachine, given: Iterable[str]) -> list[str]:
+    """Return the names of the items whose standard deviation somebody states."""
+    names = list(given)
+    return [
+        item.name
+        for item in ITEMS
+        if any(name in names or getattr(machine, name, None) is not None for name in item.stated_by)
+    ]
+
 
 #: Standard deviations that a user can give besides those of the adaptive observer: name → the
 #: assumptions to which they apply, and the unit.
