@@ -29,8 +29,11 @@ from .outliers import outliers
 
 Flags = NDArray[np.bool_]
 
-#: A value beyond this multiple of its usual size is out of range.
-PLAUSIBLE = 10.0
+#: A current or a voltage beyond this multiple of its usual size is out of range. At low speed the
+#: voltages of a load step are twenty times the usual ones.
+PLAUSIBLE, PLAUSIBLE_VOLTAGE = 10.0, 100.0
+#: Rows at the start without a voltage are normal.
+FIRST_ROWS = 3
 #: Expected number of false marks in a batch.
 FALSE_MARKS = 1e-3
 #: Rows on each side that give the usual step of a current.
@@ -89,12 +92,13 @@ class Detector:
         current, voltage = rows.current, rows.voltage
         known = np.asarray(np.isfinite(current).all(axis=1))
         known_voltage = np.asarray(np.isfinite(voltage).all(axis=1))
-        known_voltage[:1] = True  # no interval ends at the first row
+        known_voltage[:FIRST_ROWS] = True  # the lag decides where the first interval ends
         size, u = _size(current), _size(voltage)
         large = size >= PLAUSIBLE * self.current
-        large_voltage = u >= PLAUSIBLE * self.voltage
+        large_voltage = u >= PLAUSIBLE_VOLTAGE * self.voltage
         repeated, held = self._repeated(current, voltage, known)
         clipped = self._clipped(current, known & ~large)
+        clipped |= held & _at_extreme(current, known & ~large)
         outlier = outliers(current, self.current) & known & ~large
         idle = _long(known & (size < IDLE_SHARE * self.current + 4 * self.noise), IDLE_ROWS)
         marks = np.zeros(len(current), np.int64)
@@ -112,7 +116,7 @@ class Detector:
 
     def _stale(self, rows: Aligned, marks: NDArray[np.int64]) -> Flags:
         """Return the intervals whose voltage is repeated or out of range."""
-        stale = _size(rows.voltage) >= PLAUSIBLE * self.voltage
+        stale = _size(rows.voltage) >= PLAUSIBLE_VOLTAGE * self.voltage
         same = np.concatenate([[False], (rows.voltage[1:] == rows.voltage[:-1]).all(axis=1)])
         for start, end in runs(np.asarray(marks & REPEATED > 0)):
             late = min(end + LATE_ROWS, len(stale))
@@ -156,13 +160,28 @@ class Detector:
 
     def _clipped(self, current: Array, known: Flags) -> Flags:
         """Return the rows of which a phase is at its extreme, and their neighbours."""
-        alpha, beta = current[:, 0], current[:, 1]
         at_limit = np.zeros(len(current), bool)
-        for phase in (alpha, -alpha / 2 + SIN_120 * beta, -alpha / 2 - SIN_120 * beta):
+        for phase in _phases(current):
             for signed in (phase, -phase):
                 at_limit |= _flat_top(np.where(known, signed, -np.inf))
         padded = np.concatenate([[False], at_limit, [False]])
         return np.asarray((padded[:-2] | at_limit | padded[2:]) & known)
+
+
+def _phases(current: Array) -> tuple[Array, Array, Array]:
+    alpha, beta = current[:, 0], current[:, 1]
+    return alpha, -alpha / 2 + SIN_120 * beta, -alpha / 2 - SIN_120 * beta
+
+
+def _at_extreme(current: Array, known: Flags) -> Flags:
+    """Return the rows of which a phase has its largest or smallest value."""
+    result = np.zeros(len(current), bool)
+    for phase in _phases(current):
+        for signed in (phase, -phase):
+            values = np.where(known, signed, -np.inf)
+            most = float(values.max(initial=0.0))
+            result |= values >= most * (1 - LEVEL_SHARE)
+    return np.asarray(result & known)
 
 
 def _flat_top(signal: Array) -> Flags:

@@ -64,7 +64,7 @@ MARKS = (
         "out of range",
         16,
         "a current or voltage is impossibly large",
-        "ten times the usual size",
+        "ten times the usual current, a hundred times the usual voltage",
         "the value is missing",
     ),
     Mark(
