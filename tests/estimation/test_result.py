@@ -41,7 +41,7 @@ def adaptive():
 
 def columns_of(estimate):
     *names, valid = [name for output in in_files(estimate) for name in output.columns(PORTS)]
-    return [*names, *(output.name for output in derived_outputs(SERVO)), valid]
+    return [*names, *(output.name for output in derived_outputs(SERVO)), "quality", valid]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text there")
@@ -58,7 +58,7 @@ def test_columns_are_the_listed_outputs(plain, adaptive):
         name for output in in_files(SmoothedEstimate) for name in output.columns(PORTS)
     ]
     derived = [output.name for output in derived_outputs(PMSM)]
-    assert adaptive.estimates.columns == ["t", *names, *derived, "torque_std", valid]
+    assert adaptive.estimates.columns == ["t", *names, *derived, "torque_std", "quality", valid]
     assert plain.estimates.height == ROWS
 
 
@@ -98,7 +98,9 @@ def test_counts_and_statistics(plain):
     assert plain.statistics.valid == plain["valid"].sum()
     gaps = {name: values.copy() for name, values in COLUMNS.items()}
     gaps["i_alpha"][[700, 900]] = np.nan
-    assert fluxobs.estimate(gaps, SERVO).counts == SampleCounts(0, 2, 0, 0, 0)
+    result = fluxobs.estimate(gaps, SERVO)
+    assert result.counts == SampleCounts(0, 0, 0, 0, 0)  # both were bridged before
+    assert result.statistics.quality.marked["missing"].rows == 2
 
 
 def test_str_is_summary_and_warnings(plain):

@@ -12,7 +12,7 @@ from ..core.arrays import Array, runs
 from ..errors import FluxobsError
 from ..logs.log import Log
 from ..logs.quality.detect import Detector
-from ..logs.quality.marks import CLIPPED, HELD, NO_CURRENT, RANGE, REPEATED
+from ..logs.quality.marks import CLIPPED, HELD, NO_CURRENT, REPEATED
 from ..logs.record import LAGS
 from ..logs.scales import excerpts, scales_of
 from ..machines import RotatingMachine
@@ -36,7 +36,7 @@ BRIDGED = 5
 #: difference between the neighbours.
 SPIKE, SPIKE_LEAST = 30.0, 0.5
 #: Rows with one of these marks are in no segment.
-EXCLUDED = REPEATED | HELD | CLIPPED | RANGE
+EXCLUDED = REPEATED | HELD | CLIPPED
 #: Larger values [A], [V] cannot be measurements; their squares would overflow.
 ABSURD = 1e12
 

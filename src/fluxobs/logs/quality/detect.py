@@ -52,6 +52,8 @@ FLAT_ROWS, FLAT_TOTAL = 3, 10
 OVERSHOOT = 5.0
 #: No current: below this share of the usual one, for this many rows.
 IDLE_SHARE, IDLE_ROWS = 0.02, 20
+#: Largest share, whatever the noise.
+MOST_IDLE = 0.1
 #: Currents are bridged while the rotor turns by less than this [rad].
 LONGEST_BRIDGE = 3.0
 #: Most rows before a gap that tell how fast the current turns.
@@ -100,7 +102,8 @@ class Detector:
         clipped = self._clipped(current, known & ~large)
         clipped |= held & _at_extreme(current, known & ~large)
         outlier = outliers(current, self.current) & known & ~large
-        idle = _long(known & (size < IDLE_SHARE * self.current + 4 * self.noise), IDLE_ROWS)
+        limit = min(IDLE_SHARE * self.current + 4 * self.noise, MOST_IDLE * self.current)
+        idle = _long(known & (size < limit), IDLE_ROWS)
         marks = np.zeros(len(current), np.int64)
         for flags, mark in (
             (~known | ~known_voltage, MISSING),
@@ -128,7 +131,8 @@ class Detector:
         none = np.zeros(len(current), bool)
         if len(current) < 2:
             return none, none
-        change = np.abs(np.diff(current, axis=0))
+        with np.errstate(over="ignore", invalid="ignore"):
+            change = np.abs(np.diff(current, axis=0))
         same = np.concatenate([[False], (change == 0).all(axis=1)])
         same &= known & (current != 0).any(axis=1)
         if not same.any():
