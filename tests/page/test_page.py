@@ -30,7 +30,8 @@ DRAWN = {"innovation", "adapting", "raw", "truth"}
 ROUNDING = 1e-6
 #: The fit of a flux map uses eigenvectors, which amplify rounding.
 MAPPED = {"ipm-5kw6": 1e-4, "synrm-6kw7-saturated": 1e-4, "synrm-6kw7": 1e-4}
-MAPPED["induction-2kw2"] = 2e-2  # the rotor flux is learnt in more iterations
+# The rotor flux is learnt in more iterations; the drift is a thousandth of the voltage.
+MAPPED["induction-2kw2"] = 5e-2
 
 
 @pytest.fixture
