@@ -28,10 +28,11 @@ READ = (".csv", ".txt", ".lvm", ".dat", ".gz", ".npz", ".npy")
 DRAWN = {"innovation", "adapting", "raw", "truth"}
 #: Rounding error of sums in another order, relative to the largest value of a column.
 ROUNDING = 1e-6
+#: Learning ends when no assumption moves by this share of its standard deviation, twice.
+SETTLED = 0.1
 #: The fit of a flux map uses eigenvectors, which amplify rounding.
 MAPPED = {"ipm-5kw6": 1e-4, "synrm-6kw7-saturated": 1e-4, "synrm-6kw7": 1e-4}
-# The rotor flux is learnt in more iterations; the drift is a thousandth of the voltage.
-MAPPED["induction-2kw2"] = 5e-2
+MAPPED["induction-2kw2"] = 2e-2  # the rotor flux is learnt in more iterations
 
 
 @pytest.fixture
@@ -72,7 +73,12 @@ def equal(opened_page, expected, rounding=ROUNDING):
         share = 10 * rounding if name.endswith("_std") else rounding
         if rounding > ROUNDING and name.endswith("_std") and expected["valid"].any():
             error = error[expected["valid"]]
-        assert np.nanmax(np.abs(error)) <= share * size + 1e-15, name
+        allowed = share * size + 1e-15
+        std = "drift_std" if name.startswith("drift_") else f"{name}_std"
+        if rounding > ROUNDING and std in expected.estimates.columns:
+            # The iterations end within a share of the standard deviation.
+            allowed = max(allowed, SETTLED * float(np.nanmedian(expected[std])))
+        assert np.nanmax(np.abs(error)) <= allowed, name
     explained = opened_page.js("() => fluxobs.state.explained")
     if rounding == ROUNDING:
         assert explained["summary"] == expected.summary
