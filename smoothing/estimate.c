@@ -215,14 +215,6 @@ static void spread_of(const fo_work *w, const fo_assumed *l, const fo_smoothed *
     }
 }
 
-static vec corrected_current(const fo_work *w, const fo_assumed *l, size_t row)
-{
-    const vec measured = w->record.current[row];
-    const vec offset = vec_of(l->p[FO_P_offset_alpha], l->p[FO_P_offset_beta]),
-              gain = vec_of(l->p[FO_P_current_gain_re], l->p[FO_P_current_gain_im]);
-    return minus(minus(measured, offset), product(gain, conjugate(measured)));
-}
-
 /* Without magnets, only the sign of i_d tells both ends of the rotor apart. Where i_d is small, the
  * neighbour does: the row before, and up to the first row with a current the row behind. */
 static void choose_ends(const fo_work *w, const fo_assumed *l, fo_row *rows)
@@ -231,7 +223,7 @@ static void choose_ends(const fo_work *w, const fo_assumed *l, fo_row *rows)
     const double sure = KNOWN_SHARE * w->model->current;
     size_t first = n;
     for (size_t k = 0; k < n; k++) {
-        const double i_d = dot(corrected_current(w, l, k), direction_of(rows[k].angle));
+        const double i_d = dot(fo_corrected(l->p, w->record.current[k]), direction_of(rows[k].angle));
         const bool decided = fabs(i_d) > sure;
         if (decided && first == n) first = k;
         if (first == n) continue;
@@ -260,7 +252,7 @@ static void write_rows(const fo_work *w, const fo_assumed *l, const fo_smoothed 
         double *to = out->columns + k;
 #define SET(name, value) to[FO_S_##name * n] = (value)
 #define STATE(row) ((1.0 - at.share) * x[(row) * sides] + at.share * y[(row) * sides])
-        const vec i = corrected_current(w, l, k);
+        const vec i = fo_corrected(l->p, w->record.current[k]);
         const double angle = rows[k].angle;
         SET(flux_alpha, rows[k].flux.re);
         SET(flux_beta, rows[k].flux.im);

@@ -35,16 +35,4 @@ static inline void fo_substitute(const double *factor, int n, double *b)
     }
 }
 
-/* x' A y */
-static inline double fo_form(const double *a, int n, const double *x, const double *y)
-{
-    double sum = 0.0;
-    for (int r = 0; r < n; r++) {
-        double row = 0.0;
-        for (int c = 0; c < n; c++) row += a[r * n + c] * y[c];
-        sum += x[r] * row;
-    }
-    return sum;
-}
-
 #endif

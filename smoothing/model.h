@@ -86,6 +86,14 @@ void fo_phase_signs(vec current, double knee, fo_sign *out);
 /* Inverter's loss of a phase [V], >= 0. */
 double fo_inverter_loss(const fo_model *m, const double p[FO_P]);
 
+/* Current without offset and unequal gains. */
+static inline vec fo_corrected(const double p[FO_P], vec i)
+{
+    const vec offset = vec_of(p[FO_P_offset_alpha], p[FO_P_offset_beta]),
+              gain = vec_of(p[FO_P_current_gain_re], p[FO_P_current_gain_im]);
+    return minus(minus(i, offset), product(gain, conjugate(i)));
+}
+
 /* Part of the loss that its parameters do not describe [V]. */
 double fo_inverter_error(const fo_model *m, const double p[FO_P]);
 

@@ -50,13 +50,6 @@ typedef struct {
     vec volt_seconds;               /* gained in the interval [V s] */
 } interval;
 
-static vec corrected(const double p[FO_P], vec i)
-{
-    const vec offset = vec_of(p[FO_P_offset_alpha], p[FO_P_offset_beta]),
-              gain = vec_of(p[FO_P_current_gain_re], p[FO_P_current_gain_im]);
-    return minus(minus(i, offset), product(gain, conjugate(i)));
-}
-
 static double sample_of(const double *x, ptrdiff_t k, ptrdiff_t n)
 {
     /* Beyond the ends: continued linearly. */
@@ -86,10 +79,10 @@ static void interval_at(const fo_work *w, const double p[FO_P], size_t row, inte
     /* Mean of the cubic through four samples over the interval between the middle two. */
     const vec outer = plus(sample(r->current, k - 2, n), sample(r->current, k + 1, n));
     const vec mean = times(1.0 / 24.0, minus(times(13.0, plus(here, before)), outer));
-    at->current = corrected(p, here);
+    at->current = fo_corrected(p, here);
     at->conjugate_current = conjugate(here);
-    at->mean = corrected(p, mean);
-    at->middle = corrected(p, row == 0 ? here : times(0.5, plus(here, before)));
+    at->mean = fo_corrected(p, mean);
+    at->middle = fo_corrected(p, row == 0 ? here : times(0.5, plus(here, before)));
     at->voltage = voltage_at(r, row == 0 ? 1 : row);
     at->around = times(0.5, plus(at->voltage, voltage_at(r, row + 1 < r->rows ? row + 1 : row)));
     const double share = length_of(at->mean) / m->current;

@@ -234,11 +234,11 @@ def check_log(
         return Check(tuple(column_findings), None, None, (note,))
     measured = measure_scales(log) if scales is None else scales
     possible = possible_mistakes(machine, log)
-    search = Search(machine, cut_segments(log, machine), measured)
+    search = Search(machine, cut_segments(log, machine, scales=measured), measured)
     result = search.run(possible, progress)
     if (vectors := (result.best.whole.current, result.best.whole.voltage)) != (SAME, SAME):
         # The segments were chosen by an EMF from wrong vectors: choose the segments again.
-        search = Search(machine, cut_segments(log, machine, *vectors), measured)
+        search = Search(machine, cut_segments(log, machine, *vectors, scales=measured), measured)
         result = search.run(possible, progress)
     given, best = result.given, result.best
     if not best.fit.share < BAD:

@@ -14,7 +14,7 @@ from ..logs.log import Log
 from ..logs.quality.detect import Detector
 from ..logs.quality.marks import CLIPPED, HELD, NO_CURRENT, REPEATED
 from ..logs.record import LAGS
-from ..logs.scales import excerpts, scales_of
+from ..logs.scales import Scales, excerpts, scales_of
 from ..machines import RotatingMachine
 from ..machines.model.held import without_kinks
 
@@ -157,11 +157,13 @@ def cut_segments(
     machine: RotatingMachine,
     current_as: VectorMap = _identity,
     voltage_as: VectorMap = _identity,
+    scales: Scales | None = None,
 ) -> Segments:
     """Cut segments out of a log.
 
     Segments are chosen by the EMF, computed with the machine's R_s and the vectors that
     `current_as` and `voltage_as` return. The segments themselves hold the vectors of the log.
+    `scales` are the sizes of the log's signals; by default they are measured.
 
     Raises
     ------
@@ -173,7 +175,8 @@ def cut_segments(
     truths: list[Array | None] = []
     share = machine.held_share(log.held, log.sample_time)
     pieces = list(excerpts(log))
-    scales = scales_of(pieces, log.sample_time, log.path)
+    if scales is None:
+        scales = scales_of(pieces, log.sample_time, log.path)
     detector = Detector(scales.current, scales.voltage, scales.current_noise)
     faulty: list[NDArray[np.bool_]] = []
     idle: list[NDArray[np.bool_]] = []

@@ -115,9 +115,8 @@ def record_samples(
     samples = rows.samples
     assert samples.marks is not None
     current = _filled(samples.current)
-    unknown = np.asarray(
-        ~np.isfinite(samples.current).all(axis=1)
-    )  # the resistive drop is unknown there
+    # Without the current, the resistive drop is unknown.
+    unknown = np.asarray(~np.isfinite(samples.current).all(axis=1))
     voltage = np.where(unknown[:, None], np.nan, samples.voltage)
     filled = samples._replace(current=current, voltage=_short_gaps_filled(voltage))
     if inverter is not None:
@@ -134,7 +133,10 @@ def record_samples(
 
 
 def without_bridge(rows: Anchored) -> Anchored | None:
-    """Return the rows with unknown voltages where no current flows; None if it flows always."""
+    """Return the rows with NaN voltages while the bridge may be off.
+
+    Returns None if a current flows in every row, or in none.
+    """
     marks = rows.samples.marks
     assert marks is not None
     off = marks & NO_CURRENT > 0

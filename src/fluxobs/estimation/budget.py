@@ -185,6 +185,19 @@ class Budget:
                 )
         return ""
 
+    def layers(self, count: int) -> tuple[Array, list[str], list[Array]]:
+        """Return times, names and variances of the position's largest items, and of the others.
+
+        Times in [s], variances in [rad^2], NaN where no row is valid. Nothing without a valid row.
+        """
+        series = self.columns()
+        names = [contribution.name for contribution in self.contributions]
+        if not names:
+            return np.zeros(0), [], []
+        others = np.stack([series[name] for name in names[count:]]).sum(axis=0)
+        layers = [series[name] for name in names[:count]]
+        return series["t"], [*names[:count], "others"], [*layers, others]
+
     def columns(self, quantity: str = "theta_e") -> dict[str, Array]:
         """Return the series: t [s], and each item's variance of theta_e, speed_e, flux or torque.
 

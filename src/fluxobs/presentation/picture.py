@@ -16,6 +16,7 @@ from ..estimation.run import LogRun
 from ..estimation.truth import TruthFit
 from ..logs.quality.marks import MARKS
 from ..observers import ImmersionObserver
+from .plot_data import BUDGET_LAYERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,8 +39,7 @@ PARAMETERS = {
 
 #: Height of a strip of marks, as a share of its panel.
 STRIP = 0.05
-#: Causes that the budget names, and the colours of its layers.
-BUDGET_ITEMS = 5
+#: Colours of the layers of the budget, and of the strips of marks.
 LAYERS = (BLUE, ORANGE, "#3a9d6e", "#8e6bbf", "#c9a227", "0.75")
 #: Panels of every run; a run of the adaptive observer adds the panels of PARAMETERS.
 PANELS = ("locus", "position", "error", "speed", "drift")
@@ -366,19 +366,16 @@ def _drift(axes: Axes, columns: dict[str, Array]) -> None:
 def _budget(axes: Axes, result: LogRun) -> None:
     """Stack the contributions to the variance of the position over time, the largest below."""
     assert result.budget is not None
-    series = result.budget.columns()
-    names = [contribution.name for contribution in result.budget.contributions]
-    shown, rest = names[:BUDGET_ITEMS], names[BUDGET_ITEMS:]
+    t, names, layers = result.budget.layers(BUDGET_LAYERS)
     axes.set_title("Error budget of the position: variance by cause")
     axes.set_ylabel("σ² [°²]")
-    if not shown:
+    if not names:
         axes.text(0.5, 0.5, "no valid position", ha="center", transform=axes.transAxes)
         return
     factor = float(np.degrees(1.0)) ** 2
-    layers = [factor * series[name] for name in shown]
-    layers.append(factor * np.sum([series[name] for name in rest], axis=0))
+    layers = [factor * layer for layer in layers]
     total = np.sum(layers, axis=0)
-    axes.stackplot(series["t"], *layers, labels=[*shown, "others"], colors=LAYERS, linewidth=0)
+    axes.stackplot(t, *layers, labels=names, colors=LAYERS, linewidth=0)
     axes.set_ylim(0, 1.1 * float(np.nanpercentile(total, 95)))
     legend(axes)
 

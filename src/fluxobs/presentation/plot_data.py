@@ -57,12 +57,9 @@ def _budget(run: LogRun) -> dict[str, Any] | None:
     budget = run.budget
     if budget is None or not budget.rows:
         return None
-    series = {name: np.nan_to_num(values) for name, values in budget.columns().items()}
-    names = [contribution.name for contribution in budget.contributions]
-    layers = [series[name].tolist() for name in names[:BUDGET_LAYERS]]
-    rest = np.stack([series[name] for name in names[BUDGET_LAYERS:]]).sum(axis=0)
+    t, names, layers = budget.layers(BUDGET_LAYERS)
     return {
-        "t": series["t"].tolist(),
-        "names": [*names[:BUDGET_LAYERS], "others"],
-        "layers": [*layers, rest.tolist()],
+        "t": t.tolist(),
+        "names": names,
+        "layers": [np.nan_to_num(layer).tolist() for layer in layers],
     }

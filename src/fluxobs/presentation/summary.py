@@ -15,7 +15,7 @@ from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
 from ..observers.immersed import UNSEEN_BIAS
 
-#: Marks that are no faults, and the number of stretches that the summary names.
+#: Marks that are no faults; number of stretches of a mark that summary and warnings name.
 EVENTS = tuple(mark.name for mark in MARKS if not mark.fault)
 NAMED_MARKS = 3
 #: Contributions that the summary names.

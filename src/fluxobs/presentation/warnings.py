@@ -16,7 +16,7 @@ from ..machines import RotatingMachine
 from ..machines.model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
 from ..smoothing.assumptions import ITEMS
-from .summary import bias_is_seen, si
+from .summary import NAMED_MARKS, bias_is_seen, si
 
 #: Warn if an electrical period has fewer samples than this. With fewer samples, the error of the
 #: cubic through four currents exceeds a percent of the resistive drop (benchmarks/accuracy.py).
@@ -26,8 +26,8 @@ VALID_SHARE = 0.5
 #: A summary is meaningful if the log lasts this many memories: after three memories, e⁻³ = 5 % of
 #: the initial error remains. With unknown resistance or inverter, no position is valid earlier.
 MEMORIES, MEMORIES_ADAPTIVE = 3, 5
-#: Number of stretches that a warning names, in all and of each mark.
-NAMED_STRETCHES, NAMED_MARKS = 5, 3
+#: Number of stretches that a warning names.
+NAMED_STRETCHES = 5
 #: Marks of faults, and those that explain why a stretch does not fit.
 FAULT_NAMES = tuple(mark.name for mark in MARKS if mark.fault)
 EXPLAINING = ("missing", "repeated", "held", "clipped", "bridge off")

@@ -120,7 +120,8 @@ def estimate(
     Prints a summary with the error budget of the position. --out writes one row per sample, in SI
     units and electrical radians: t, flux_alpha, flux_beta, psi_f, theta_e, speed_e, drift_alpha,
     drift_beta, resistance, inverter_voltage and torque with their standard deviations, speed_mech,
-    valid; with --truth also theta_e_error. Exit code 3: no row is valid.
+    quality (marks of faulty rows), valid; with --truth also theta_e_error. Exit code 3: no row is
+    valid.
 
     With --causal, --out writes the outputs of the observer: also theta_e_tracked, and a second
     angle while two angles are possible. For a maglev-2dof, or with current-bias, --out writes flux,

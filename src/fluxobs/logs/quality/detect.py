@@ -54,7 +54,7 @@ OVERSHOOT = 5.0
 IDLE_SHARE, IDLE_ROWS = 0.02, 20
 #: Largest share, whatever the noise.
 MOST_IDLE = 0.1
-#: Currents are bridged while the rotor turns by less than this [rad].
+#: Currents are bridged while they turn by less than this [rad].
 LONGEST_BRIDGE = 3.0
 #: Most rows before a gap that tell how fast the current turns.
 TURN_ROWS = 8
@@ -120,7 +120,7 @@ class Detector:
     def _stale(self, rows: Aligned, marks: NDArray[np.int64]) -> Flags:
         """Return the intervals whose voltage is repeated or out of range."""
         stale = _size(rows.voltage) >= PLAUSIBLE_VOLTAGE * self.voltage
-        same = np.concatenate([[False], (rows.voltage[1:] == rows.voltage[:-1]).all(axis=1)])
+        same = _same_as_before(rows.voltage)
         for start, end in runs(np.asarray(marks & REPEATED > 0)):
             late = min(end + LATE_ROWS, len(stale))
             stale[start:late] |= same[start:late]
@@ -141,7 +141,7 @@ class Detector:
         if not len(moved):
             return none, none
         resolution = float(moved.min())
-        same_voltage = np.concatenate([[False], (voltage[1:] == voltage[:-1]).all(axis=1)])
+        same_voltage = _same_as_before(voltage)
         repeated, held = none.copy(), none.copy()
         steps = np.where(change > 0, change, np.nan)
         for start, end in runs(same):
@@ -211,6 +211,10 @@ def _flat_top(signal: Array) -> Flags:
         if min(before, after) * rows / 4 > OVERSHOOT * resolution:
             sharp += rows
     return top if sharp >= FLAT_TOTAL // 2 else none
+
+
+def _same_as_before(vectors: Array) -> Flags:
+    return np.asarray(np.concatenate([[False], (vectors[1:] == vectors[:-1]).all(axis=1)]))
 
 
 def _size(vectors: Array) -> Array:

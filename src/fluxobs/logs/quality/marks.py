@@ -15,7 +15,7 @@ class Mark:
     bit : int
         Value in the column `quality`, a sum of marks.
     meaning, found, use : str
-        What the row is, how it is found, what an estimate does with it.
+        What such a row means, how the detector finds it, and how an estimate treats it.
     fault : bool
         Whether the log is at fault; some marks are normal events.
     """
@@ -94,7 +94,7 @@ MARKS = (
 MISSING, REPEATED, HELD, CLIPPED, RANGE, OUTLIER, NO_CURRENT, BRIDGE_OFF = (
     mark.bit for mark in MARKS
 )
-#: Rows with one of these marks have no current of their own.
+#: The current of a row with one of these marks is not a measurement.
 NO_MEASUREMENT = MISSING | REPEATED | HELD | CLIPPED | RANGE | OUTLIER
 FAULTS = sum(mark.bit for mark in MARKS if mark.fault)
 
