@@ -32,7 +32,8 @@ def check_priors(priors: Mapping[str, float], causal: bool) -> None:
     for name, std in priors.items():
         if causal and name in GIVEN:
             raise FluxobsError(
-                f"prior {name}: the observer of a drive does not use it; omit the prior, or --causal"
+                f"prior {name}: the observer of a drive does not use it; omit the prior, or "
+                f"--causal"
             )
         if name not in (*PRIORS, *GIVEN):
             raise FluxobsError(f"prior: unknown {name!r}{nearest(name, (*PRIORS, *GIVEN))}")
