@@ -40,7 +40,7 @@ int fo_estimate_arrays(const fo_arrays *in, double *p, double *covariance, doubl
     /* A vector is two numbers. */
     const fo_record record = {in->rows,     (const vec *)(const void *)in->voltage,
                               (const vec *)(const void *)in->current,
-                              in->measured, in->angle,
+                              in->flags, in->angle,
                               in->angle_std};
     const fo_estimates out = {columns, known, budget};
     fo_assumed *learnt = calloc(1, sizeof *learnt);

@@ -23,7 +23,7 @@ typedef struct {
     int kind, nodes_d, nodes_q;
     size_t rows;
     const double *voltage, *current; /* rows * 2 */
-    const uint8_t *measured;         /* rows */
+    const uint8_t *flags;            /* rows, see fo_record */
     const double *angle, *angle_std; /* rows */
     int learning;
 } fo_arrays;

@@ -46,6 +46,7 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     w->hard = malloc(n * sizeof *w->hard);
     w->soft = malloc(n * sizeof *w->soft);
     w->doubtful = calloc(blocks, sizeof *w->doubtful);
+    w->floating = calloc(3 * blocks, sizeof *w->floating);
     w->total = malloc((blocks * w->columns + 1) * sizeof *w->total);
     s->room.state = malloc(blocks * N * sides * sizeof(double));
     s->room.covariance = malloc(blocks * N * N * sizeof(double));
@@ -55,7 +56,7 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     s->room.work = malloc(2 * N * sides * sizeof(double));
     return w->angle && w->speed && w->unwrapped && w->correction && w->psi && w->block &&
            w->about && w->measured && w->across && w->total && w->noise && w->hard && w->soft &&
-           w->doubtful && s->room.state &&
+           w->doubtful && w->floating && s->room.state &&
            s->room.covariance && s->room.innovation && s->room.spread && s->room.gain &&
            s->room.work;
 }
@@ -74,6 +75,7 @@ static void release(fo_work *w, fo_smoothed *s)
     free(w->total);
     free(w->noise);
     free(w->doubtful);
+    free(w->floating);
     free(w->hard);
     free(w->soft);
     free(s->room.state);
@@ -277,7 +279,7 @@ static void write_rows(const fo_work *w, const fo_assumed *l, const fo_smoothed 
         const bool doubtful =
             w->doubtful[at.block] || w->doubtful[next] || MIX(misfit) > FO_KNOWN_MISFIT;
         SET(doubtful, doubtful ? 1.0 : 0.0);
-        out->known[k] = (uint8_t)(w->record.measured[k] && !doubtful &&
+        out->known[k] = (uint8_t)(fo_is_measured(&w->record, k) && !doubtful &&
                                   rows[k].size > KNOWN_SHARE * m->flux_base);
 #undef SET
 #undef STATE
@@ -308,6 +310,11 @@ bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_a
         memcpy(w.angle, r->angle, r->rows * sizeof *w.angle);
         for (size_t k = 1; k < w.blocks * w.per_block; k++)
             if (isnan(r->voltage[k].re) || isnan(r->voltage[k].im)) w.doubtful[k / w.per_block] = 1;
+        for (size_t k = 0; k < w.blocks * w.per_block; k++) {
+            const int phase = fo_floating_phase(r, k);
+            if (phase > 0)
+                w.floating[3 * (k / w.per_block) + (size_t)(phase - 1)] += 1.0 / (double)w.per_block;
+        }
         double current = 0.0;
         for (size_t k = 0; k < r->rows; k++) {
             const double i_d = dot(r->current[k], direction_of(r->angle[k]));

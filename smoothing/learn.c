@@ -43,6 +43,9 @@ enum { MISFIT_BLOCKS = 3 };
 #define PSI_JUMP 0.3
 /* Rounds in which stretches are found and left out. */
 enum { DOUBTFUL_ROUNDS = 2 };
+/* Error of the back-EMF of a floating phase as a share of the usual back-EMF. A sixth of a turn is
+ * three blocks, which share their error: 0.15 for each is 0.09 for the sum. */
+#define FLOATING_ERROR 0.15
 /* Share of the noise in the regressors that is taken from the information. */
 #define REGRESSOR_NOISE 0.999
 
@@ -110,6 +113,24 @@ static double curvature_variance(const fo_block_facts *about, const fo_smooth_bl
     return 0.5 * bend * bend;
 }
 
+/* Variance of the flux along the axes of the floating phases. */
+static void set_floating(const fo_work *w, size_t b)
+{
+    static const double cosine[3] = {1.0, -0.5, -0.5},
+                        sine[3] = {0.0, 0.8660254037844386, -0.8660254037844386};
+    double *sum = w->block[b].floating;
+    memset(sum, 0, 3 * sizeof *sum);
+    for (size_t n = 0; n < 3; n++) {
+        const double share = w->floating[3 * b + n];
+        if (share == 0.0) continue;
+        const double turned = w->about[b].rotation * share;
+        const double error = FLOATING_ERROR * w->model->flux_base * turned;
+        sum[0] += error * error * cosine[n] * cosine[n];
+        sum[1] += error * error * cosine[n] * sine[n];
+        sum[2] += error * error * sine[n] * sine[n];
+    }
+}
+
 static void set_variances(fo_work *w, const double p[FO_P], const double *covariance)
 {
     const fo_model *m = w->model;
@@ -130,6 +151,7 @@ static void set_variances(fo_work *w, const double p[FO_P], const double *covari
         block->walk[1] = wander * wander * T;
         block->walk[2] = cage ? rotor * rotor * (1.0 - block->decay * block->decay) : psi * psi * T;
         block->walk[3] = resistance * resistance * T;
+        set_floating(w, b);
         if (w->doubtful[b]) {
             const double jump = PSI_JUMP * m->flux_base;
             block->walk[0] += m->flux_base * m->flux_base;

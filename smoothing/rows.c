@@ -402,7 +402,7 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
             s.rotor_flux += psi + (residual < 0.0 ? residual : 0.0);
             s.speed += speed;
             s.flux_across = plus(s.flux_across, times(over, beside));
-            s.usable = s.usable && w->record.measured[k];
+            s.usable = s.usable && fo_is_measured(&w->record, k);
             if (inside + 1 == w->per_block) finish(w, b, &s, total);
         }
         i_d += i_dq.re > 0.0 ? i_dq.re : 0.0;

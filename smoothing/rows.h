@@ -17,10 +17,14 @@ typedef struct {
     size_t rows;
     const vec *voltage;       /* mean over the interval that ends at the row [V]; NaN: unknown */
     const vec *current;       /* sampled at the row [A]; finite */
-    const uint8_t *measured;  /* 0: the current is lost or clipped */
+    const uint8_t *flags;     /* 1: the current is measured; 2, 4, 6: phase a, b, c floats in the
+                               * interval that ends at the row */
     const double *angle;      /* of an observer [rad] */
     const double *angle_std;  /* infinite: the observer does not know it */
 } fo_record;
+
+static inline bool fo_is_measured(const fo_record *r, size_t row) { return (r->flags[row] & 1) != 0; }
+static inline int fo_floating_phase(const fo_record *r, size_t row) { return r->flags[row] >> 1; }
 
 /* What a block tells besides its measurement. */
 typedef struct {
@@ -64,6 +68,7 @@ typedef struct {
     fo_sign *hard, *soft;              /* per row: signs of the phase currents */
     double signs_of[4];                /* offsets and gains of the currents of these signs */
     bool signs_known, signs_filled;
+    double *floating;                  /* blocks * 3: shares of the rows in which a phase floats */
     uint8_t *doubtful;                 /* per block: does not fit, so it teaches nothing */
     double start_rotor_flux;           /* cage: at the first row [Wb] */
 } fo_work;

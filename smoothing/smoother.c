@@ -56,6 +56,9 @@ static void predict_covariance(const fo_smooth_block *b, square p)
 {
     transport_covariance(b, p);
     for (int n = 0; n < N; n++) p[n][n] += b->walk[n < PSI ? n / 2 : n - 2];
+    p[0][0] += b->floating[0];
+    p[1][1] += b->floating[2];
+    p[0][1] = p[1][0] += b->floating[1];
 }
 
 /* F' L F. */

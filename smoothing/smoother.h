@@ -29,6 +29,7 @@ typedef struct {
     double coupling[2]; /* change of c per unit of R: -∫ i dt since the previous block [A s] */
     double decay;       /* factor on ψ since the previous block */
     double walk[4];     /* variance gained since then: by a component of c, of θ, by ψ, by R */
+    double floating[3]; /* variance gained by c besides, αα, αβ, ββ: a phase without a known voltage */
     double row[FO_SMOOTH];
     double variance; /* of the measurement; infinite: there is none */
 } fo_smooth_block;

@@ -99,7 +99,7 @@ static void filter_block(const fo_work *w, const double p[FO_P], const start_rec
         f->angle = guess;
         f->speed += SPEED_GAIN * ((f->angle - old) / (h * sign) - f->speed);
         angle[k] = f->angle;
-        if (w->record.measured[k]) {
+        if (fo_is_measured(&w->record, k)) {
             const vec along = product(at.along, rotor);
             const double d = dot(at.by_d, at.along), q = dot(at.by_q, at.along);
             measured++;

@@ -22,12 +22,12 @@ uint32_t EXPORT(block_rows)(double sample_time, double speed)
 }
 int EXPORT(estimate_log)(const double *numbers, const double *std, int kind, const double *map,
                          const double *coefficients, int nodes_d, int nodes_q, uint32_t rows,
-                         const double *voltage, const double *current, const uint8_t *measured,
+                         const double *voltage, const double *current, const uint8_t *flags,
                          const double *angle, const double *angle_std, int learning, double *p,
                          double *covariance, double *about, double *columns, uint8_t *known,
                          double *budget)
 {
     const fo_arrays in = {numbers, std,     map,     coefficients, kind,  nodes_d,   nodes_q,
-                          rows,    voltage, current, measured,     angle, angle_std, learning};
+                          rows,    voltage, current, flags,        angle, angle_std, learning};
     return fo_estimate_arrays(&in, p, covariance, about, columns, known, budget);
 }

@@ -25,6 +25,7 @@ def findings(channels, first=0, last=None, true=None, **options):
             }
 
     log = SimpleNamespace(
+        current_frame="abc",
         first=first,
         last=last,
         channels=batches,

@@ -253,7 +253,7 @@ const $estimateLog = (
   coefficients,
   voltage,
   current,
-  measured,
+  flags,
   angle,
   angleStd,
   start,
@@ -283,14 +283,14 @@ const $estimateLog = (
     field = (name) => numbers.flat()[0][fields.indexOf(name)],
     blocks = Math.floor(rows / $wasm.block_rows(field("sample_time"), field("speed")));
   try {
-    const flags = room(rows),
+    const states = room(rows),
       p = put(start),
       posterior = put(covariance),
       told = room(8 * about),
       columns = room(8 * outputs * rows),
       known = room(rows),
       budget = room(8 * blocks * quantities * shares);
-    $octets(flags, rows).set($as(measured).flat()[0]);
+    $octets(states, rows).set($as(flags).flat()[0]);
     $numbers(told, about)[3] = filterScale;
     const good = $wasm.estimate_log(
       put(numbers),
@@ -303,7 +303,7 @@ const $estimateLog = (
       rows,
       put(voltage),
       put(current),
-      flags,
+      states,
       put(angle),
       put(angleStd),
       learning ? 1 : 0,

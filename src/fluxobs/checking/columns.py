@@ -9,7 +9,9 @@ import numpy as np
 from ..core.arrays import Array
 from ..logs.log import Log
 from ..logs.meaning.guess import DUTY_MOST, TURNS, turn_of
-from ..machines.model.frames import PHASE_CURRENTS
+from ..logs.quality.detect import IDLE_SHARE
+from ..logs.quality.floating import floating_phase
+from ..machines.model.frames import CURRENTS, PHASE_CURRENTS, alphabeta_current
 from .findings import Finding
 from .segments import without_spikes
 
@@ -42,7 +44,7 @@ def check_columns(log: Log) -> list[Finding]:
         *_check_duties(signals),
         *_find_counts(signals),
         *_check_angles(channels, log),
-        *_find_spikes(signals),
+        *_find_spikes(signals, log),
     ]
 
 
@@ -175,10 +177,22 @@ def _check_angles(channels: dict[str, Array], log: Log) -> list[Finding]:
     return findings
 
 
-def _find_spikes(signals: dict[str, Array]) -> list[Finding]:
+def _blocks(signals: dict[str, Array], log: Log) -> bool:
+    """Whether the phases float in turn: then the voltages are short at each commutation."""
+    names = CURRENTS[log.current_frame]
+    needed = 2 if names == PHASE_CURRENTS else len(names)
+    if log.current_frame == "dq" or sum(name in signals for name in names) < needed:
+        return False
+    current = alphabeta_current(log.current_frame, signals)
+    limit = IDLE_SHARE * float(np.nanmax(np.hypot(*current.T), initial=0.0))
+    return bool(floating_phase(current, None, limit).any())
+
+
+def _find_spikes(signals: dict[str, Array], log: Log) -> list[Finding]:
     spiked = []
+    stepping = ("d_", "u_") if _blocks(signals, log) else ("d_",)
     for name, values in signals.items():
-        if name.startswith("d_"):
+        if name.startswith(stepping):
             continue
         _, spikes = without_spikes(values.astype(complex))
         if spikes >= SPIKES:

@@ -12,9 +12,11 @@ from ..core.arrays import Array, runs
 from ..errors import FluxobsError
 from ..logs.log import Log
 from ..logs.quality.detect import Detector
-from ..logs.quality.marks import CLIPPED, HELD, NO_CURRENT, REPEATED
+from ..logs.quality.floating import with_back_emf
+from ..logs.quality.marks import CLIPPED, FLOATING, HELD, NO_CURRENT, REPEATED
 from ..logs.record import LAGS
 from ..logs.scales import Scales, excerpts, scales_of
+from ..logs.time.aligned import Aligned
 from ..machines import RotatingMachine
 from ..machines.model.held import without_kinks
 
@@ -115,6 +117,14 @@ def _clean(values: Array) -> Complex:
     return without_spikes(_bridge_gaps(_complex(values)))[0]
 
 
+def _clean_voltage(rows: Aligned) -> Complex:
+    """Return voltages without short gaps and spikes; in a commutation, a short voltage is real."""
+    assert rows.marks is not None
+    if (rows.marks & FLOATING).any():
+        return _bridge_gaps(_complex(rows.voltage))
+    return _clean(rows.voltage)
+
+
 def _segment_length(voltage: list[Complex], sample_time: float) -> int:
     """Return the length of a segment, from the speed at which the voltage vector rotates."""
     speeds = []
@@ -178,14 +188,21 @@ def cut_segments(
     if scales is None:
         scales = scales_of(pieces, log.sample_time, log.path)
     detector = Detector(scales.current, scales.voltage, scales.current_noise)
+
+    def marked(excerpt: Aligned) -> Aligned:
+        rows = excerpt._replace(marks=detector.marks(excerpt))
+        return with_back_emf(rows, machine, log.sample_time)
+
     faulty: list[NDArray[np.bool_]] = []
     idle: list[NDArray[np.bool_]] = []
     for excerpt in pieces:
-        marks = detector.marks(excerpt)
+        excerpt = marked(excerpt)
+        marks = excerpt.marks
+        assert marks is not None
         faulty.append(np.asarray(marks & EXCLUDED > 0))
         idle.append(np.asarray(marks & NO_CURRENT > 0))
         current.append(_clean(excerpt.current))
-        voltage.append(without_kinks(_clean(excerpt.voltage), share))
+        voltage.append(without_kinks(_clean_voltage(excerpt), share))
         truths.append(excerpt.truth)
     current_used, voltage_used = [current_as(i) for i in current], [voltage_as(u) for u in voltage]
     resistance = _limit_resistance(voltage_used, current_used, machine.R_s)
@@ -218,7 +235,7 @@ def cut_segments(
         log.sample_time,
         np.stack([current[number][cut] for number, cut in chosen]),
         {
-            lag: _voltage_at_lag(log, lag, share, chosen)
+            lag: _voltage_at_lag(log, lag, share, chosen, marked)
             if lag
             else np.stack([voltage[number][cut] for number, cut in chosen])
             for lag in LAGS
@@ -227,13 +244,19 @@ def cut_segments(
     )
 
 
-def _voltage_at_lag(log: Log, lag: int, share: float, places: list[tuple[int, slice]]) -> Complex:
+def _voltage_at_lag(
+    log: Log,
+    lag: int,
+    share: float,
+    places: list[tuple[int, slice]],
+    marked: Callable[[Aligned], Aligned],
+) -> Complex:
     """Return the voltages of segments at another lag; a place is (excerpt, rows)."""
     voltages: dict[int, Complex] = {}
     needed = {number for number, _ in places}
     for number, excerpt in enumerate(excerpts(log.lagged(lag))):
         if number in needed:
-            voltages[number] = without_kinks(_clean(excerpt.voltage), share)
+            voltages[number] = without_kinks(_clean_voltage(marked(excerpt)), share)
     # Beyond the ends of the log, the voltage is zero.
     return np.nan_to_num(np.stack([voltages[number][cut] for number, cut in places]))
 

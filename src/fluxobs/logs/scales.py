@@ -120,9 +120,9 @@ def scales_of(pieces: Iterable[Aligned], sample_time: float, path: Path) -> Scal
                 f"{path}: the {quantity} is zero in every row; are column and scale right?"
             )
     current, voltage = float(np.percentile(i, 95)) or float(i.max()), float(np.percentile(u, 95))
-    # Faulty rows would count as noise.
+    # Faulty rows and commutations would count as noise.
     detector = Detector(current, voltage, 0.0)
-    noise = [white_noise(detector.measured(piece)) for piece in pieces]
+    noise = [white_noise(detector.smooth(piece)) for piece in pieces]
     return Scales(
         current,
         voltage,

@@ -12,6 +12,7 @@ from ..errors import FluxobsError, MachineError, ObserverError, RecordError
 from ..logs.formats import BATCH
 from ..logs.log import Log
 from ..logs.quality.detect import Detector
+from ..logs.quality.floating import with_back_emf
 from ..logs.scales import Scales, excerpts, measure_scales
 from ..logs.time.aligned import Aligned, between
 from ..machines import Machine, RotatingMachine
@@ -71,7 +72,7 @@ class Prepared:
         usual = max(scales.current, self.machine.rated_current or 0.0)
         detector = Detector(usual, scales.voltage, scales.current_noise)
         for batch in self._batches(first, last):
-            yield detector.marked(batch)
+            yield with_back_emf(detector.marked(batch), self.machine, self.log.sample_time)
 
     def _batches(self, first: int | None, last: int | None) -> Iterator[Aligned]:
         if self.samples is None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .. import _smoother
 from ..core.arrays import Array
-from ..logs.quality.marks import NO_MEASUREMENT
+from ..logs.quality.marks import NO_MEASUREMENT, floating_of
 from ..logs.scales import Scales
 from ..machines import InductionMachine, RotatingMachine
 from ..machines.model.flux_map import LinearMap
@@ -199,9 +199,10 @@ class RecordSamples:
     angle_std: Array
 
     @property
-    def measured(self) -> NDArray[np.bool_]:
-        """Whether the current of a row is a measurement."""
-        return np.asarray(self.marks & NO_MEASUREMENT == 0)
+    def flags(self) -> NDArray[np.uint8]:
+        """The flags of fo_record (smoothing/rows.h)."""
+        measured = self.marks & NO_MEASUREMENT == 0
+        return np.asarray(measured + 2 * floating_of(self.marks), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +267,7 @@ def smooth_record(
         table,
         np.ascontiguousarray(samples.voltage, float),
         np.ascontiguousarray(samples.current, float),
-        np.ascontiguousarray(samples.measured, bool),
+        samples.flags,
         np.ascontiguousarray(samples.angle, float),
         np.ascontiguousarray(samples.angle_std, float),
         start.array(),

@@ -62,6 +62,7 @@ class Blocks:
             self.coupling,
             self.decay[:, None],
             self.walk,
+            np.zeros((len(self.duration), 3)),
             self.row,
             self.variance[:, None],
         )

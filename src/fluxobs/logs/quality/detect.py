@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...core.arrays import Array, runs
 from ...machines.model.frames import wrap
 from ..time.aligned import Aligned
+from .floating import commutating, floating_phase
 from .marks import (
     CLIPPED,
     HELD,
@@ -24,6 +25,7 @@ from .marks import (
     OUTLIER,
     RANGE,
     REPEATED,
+    with_floating,
 )
 from .outliers import outliers
 
@@ -80,14 +82,23 @@ class Detector:
     def marked(self, rows: Aligned) -> Aligned:
         """Return rows with marks, and without the values that the marks exclude."""
         marks = self.marks(rows)
-        current = self.measured(rows, marks)
+        current = np.where((marks & NO_MEASUREMENT > 0)[:, None], np.nan, rows.current)
         voltage = np.where(self._stale(rows, marks)[:, None], np.nan, rows.voltage)
         return rows._replace(current=bridged(current), voltage=voltage, marks=marks)
 
-    def measured(self, rows: Aligned, marks: NDArray[np.int64] | None = None) -> Array:
-        """Return the currents, NaN where they are no measurements."""
-        marks = self.marks(rows) if marks is None else marks
-        return np.where((marks & NO_MEASUREMENT > 0)[:, None], np.nan, rows.current)
+    def smooth(self, rows: Aligned) -> Array:
+        """Return the currents, NaN where they are no measurements or commutate."""
+        marks = self.marks(rows)
+        rough = marks & NO_MEASUREMENT > 0
+        phase = floating_phase(rows.current, None, self.idle_limit)
+        if phase.any():
+            rough |= commutating(rows.current, phase, self.idle_limit)
+        return np.where(rough[:, None], np.nan, rows.current)
+
+    @property
+    def idle_limit(self) -> float:
+        """Largest current of a phase or machine without current [A]."""
+        return min(IDLE_SHARE * self.current + 4 * self.noise, MOST_IDLE * self.current)
 
     def marks(self, rows: Aligned) -> NDArray[np.int64]:
         """Return the sum of the marks of each row."""
@@ -102,8 +113,7 @@ class Detector:
         clipped = self._clipped(current, known & ~large)
         clipped |= held & _at_extreme(current, known & ~large)
         outlier = outliers(current, self.current) & known & ~large
-        limit = min(IDLE_SHARE * self.current + 4 * self.noise, MOST_IDLE * self.current)
-        idle = _long(known & (size < limit), IDLE_ROWS)
+        idle = _long(known & (size < self.idle_limit), IDLE_ROWS)
         marks = np.zeros(len(current), np.int64)
         for flags, mark in (
             (~known | ~known_voltage, MISSING),
@@ -115,7 +125,7 @@ class Detector:
             (idle, NO_CURRENT),
         ):
             marks = marks + mark * flags
-        return np.asarray(marks)
+        return with_floating(marks, floating_phase(current, voltage, self.idle_limit))
 
     def _stale(self, rows: Aligned, marks: NDArray[np.int64]) -> Flags:
         """Return the intervals whose voltage is repeated or out of range."""

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 @dataclass(frozen=True)
 class Mark:
@@ -13,7 +16,7 @@ class Mark:
     ----------
     name : str
     bit : int
-        Value in the column `quality`, a sum of marks.
+        Value in the column `quality`, a sum of marks; a mark of a phase has three bits.
     meaning, found, use : str
         What such a row means, how the detector finds it, and how an estimate treats it.
     fault : bool
@@ -89,14 +92,38 @@ MARKS = (
         "a log with these voltages does not fit; without them it does",
         "the voltage is unknown; the flux may jump, and the rows are not valid",
     ),
+    Mark(
+        "floating phase",
+        256 + 512 + 1024,
+        "block commutation: phase a (256), b (512) or c (1024) is switched off, and the log does "
+        "not have its voltage",
+        "the phase carries no current, and its voltage is 0, that of another phase, or the mean of "
+        "the others; another phase follows",
+        "its voltage is the back-EMF, from the voltage between the driven phases over a turn",
+        fault=False,
+    ),
 )
 
-MISSING, REPEATED, HELD, CLIPPED, RANGE, OUTLIER, NO_CURRENT, BRIDGE_OFF = (
+MISSING, REPEATED, HELD, CLIPPED, RANGE, OUTLIER, NO_CURRENT, BRIDGE_OFF, FLOATING = (
     mark.bit for mark in MARKS
 )
+#: Position of the bit of phase a; those of b and c follow.
+FLOATING_SHIFT = 8
 #: The current of a row with one of these marks is not a measurement.
 NO_MEASUREMENT = MISSING | REPEATED | HELD | CLIPPED | RANGE | OUTLIER
 FAULTS = sum(mark.bit for mark in MARKS if mark.fault)
+
+
+def floating_of(quality: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the floating phase of each row: 1, 2, 3; 0 without."""
+    code = (quality & FLOATING) >> FLOATING_SHIFT  # 1, 2, 4
+    return np.asarray(code - (code == 4))
+
+
+def with_floating(quality: NDArray[np.int64], phase: NDArray[np.int8]) -> NDArray[np.int64]:
+    """Return the marks with those of the floating phase."""
+    bits = np.where(phase > 0, 1 << (np.maximum(phase, 1).astype(np.int64) - 1 + FLOATING_SHIFT), 0)
+    return np.asarray((quality & ~FLOATING) | bits)
 
 
 def names_of(quality: int) -> list[str]:
