@@ -48,13 +48,15 @@ nb::tuple smooth(const Rows &blocks, const Rows &measured, const Column &start) 
 }
 
 using Table = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-using Flags = nb::ndarray<const std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Marks = nb::ndarray<const std::int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 nb::tuple estimate(const Column &numbers, const Column &std, int kind, const Column &map,
                    const Table &coefficients, const Rows &voltage, const Rows &current,
-                   const Flags &flags, const Column &angle, const Column &angle_std,
+                   const Marks &row_flags, const Column &angle, const Column &angle_std,
                    const Column &start, const Rows &covariance, double filter_scale, bool learning) {
     const std::size_t rows = voltage.shape(0), active = covariance.shape(0);
+    std::unique_ptr<std::uint8_t[]> flags(new std::uint8_t[rows]);
+    std::copy_n(row_flags.data(), rows, flags.get());
     const fo_arrays in = {numbers.data(),
                           std.data(),
                           map.data(),
@@ -65,7 +67,7 @@ nb::tuple estimate(const Column &numbers, const Column &std, int kind, const Col
                           rows,
                           voltage.data(),
                           current.data(),
-                          flags.data(),
+                          flags.get(),
                           angle.data(),
                           angle_std.data(),
                           learning ? 1 : 0};
@@ -102,7 +104,7 @@ nb::tuple estimate(const Column &numbers, const Column &std, int kind, const Col
 NB_MODULE(_smoother, m) {
     m.def("smooth", &smooth, nb::arg("blocks"), nb::arg("measured"), nb::arg("start"));
     m.def("estimate", &estimate, nb::arg("numbers"), nb::arg("std"), nb::arg("kind"), nb::arg("map"),
-          nb::arg("coefficients"), nb::arg("voltage"), nb::arg("current"), nb::arg("flags"),
+          nb::arg("coefficients"), nb::arg("voltage"), nb::arg("current"), nb::arg("row_flags"),
           nb::arg("angle"), nb::arg("angle_std"), nb::arg("start"), nb::arg("covariance"),
           nb::arg("filter_scale"), nb::arg("learning"));
     m.def("rows_per_block", &fo_block_rows, nb::arg("sample_time"), nb::arg("speed"));

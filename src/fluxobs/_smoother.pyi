@@ -27,7 +27,7 @@ def estimate(
     coefficients: NDArray[np.float64],
     voltage: NDArray[np.float64],
     current: NDArray[np.float64],
-    flags: NDArray[np.uint8],
+    row_flags: NDArray[np.int64],
     angle: NDArray[np.float64],
     angle_std: NDArray[np.float64],
     start: NDArray[np.float64],

@@ -184,7 +184,7 @@ def _blocks(signals: dict[str, Array], log: Log) -> bool:
     if log.current_frame == "dq" or sum(name in signals for name in names) < needed:
         return False
     current = alphabeta_current(log.current_frame, signals)
-    limit = IDLE_SHARE * float(np.nanmax(np.hypot(*current.T), initial=0.0))
+    limit = IDLE_SHARE * float(np.nan_to_num(np.hypot(*current.T)).max(initial=0.0))
     return bool(floating_phase(current, None, limit).any())
 
 

@@ -199,10 +199,10 @@ class RecordSamples:
     angle_std: Array
 
     @property
-    def flags(self) -> NDArray[np.uint8]:
+    def row_flags(self) -> NDArray[np.int64]:
         """The flags of fo_record (smoothing/rows.h)."""
         measured = self.marks & NO_MEASUREMENT == 0
-        return np.asarray(measured + 2 * floating_of(self.marks), np.uint8)
+        return np.asarray(measured + 2 * floating_of(self.marks))
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +267,7 @@ def smooth_record(
         table,
         np.ascontiguousarray(samples.voltage, float),
         np.ascontiguousarray(samples.current, float),
-        samples.flags,
+        samples.row_flags,
         np.ascontiguousarray(samples.angle, float),
         np.ascontiguousarray(samples.angle_std, float),
         start.array(),

@@ -37,7 +37,7 @@ HARMONICS, HARMONIC_STD = (-5, 7), 0.015
 #: Rounds of the regression; the harmonics follow the angle of the fundamental.
 ROUNDS = 4
 
-Phases = NDArray[np.int8]
+Phases = NDArray[np.int64]
 
 
 def floating_phase(current: Array, voltage: Array | None, limit: float) -> Phases:
@@ -52,7 +52,7 @@ def floating_phase(current: Array, voltage: Array | None, limit: float) -> Phase
     limit : float
         Largest current of a phase without current [A].
     """
-    result = np.zeros(len(current), np.int8)
+    result = np.zeros(len(current), np.int64)
     with np.errstate(invalid="ignore", over="ignore"):
         i = current @ AXES.T
     with np.errstate(invalid="ignore"):
@@ -71,7 +71,7 @@ def floating_phase(current: Array, voltage: Array | None, limit: float) -> Phase
             result[start:end] = n + 1
     seen = sum(count > 1 for count in counts)
     if seen < LEAST_PHASES or (result > 0).sum() < LEAST_SHARE * carries.sum():
-        return np.zeros(len(current), np.int8)
+        return np.zeros(len(current), np.int64)
     for start, end in runs(result == 0):
         # Before a phase is without current, its diode conducts. With a lag that is wrong, the last
         # voltages belong to rows whose current flows already.
@@ -168,8 +168,12 @@ def _back_emf(
         psi = np.abs(unit)
         rotor = unit / np.maximum(psi, 1e-300)
         # Locked to the fundamental, they would bend the regression: it then stops elsewhere.
-        orders = [c * n * speed * psi * rotor**n for n in HARMONICS for c in (1.0, 1j)]
-        columns = np.stack([left(np.real(order * axis.conj())) for order in orders], axis=1)
+        orders = [
+            np.asarray(c * n * speed * psi * rotor**n, complex)
+            for n in HARMONICS
+            for c in (1.0, 1j)
+        ]
+        columns = np.stack([left((order * axis.conj()).real) for order in orders], axis=1)
         variance = float(np.mean((rest - columns @ shares) ** 2))
         normal = columns.T @ columns + variance / HARMONIC_STD**2 * np.eye(len(orders))
         shares = np.asarray(np.linalg.lstsq(normal, columns.T @ rest, rcond=None)[0])

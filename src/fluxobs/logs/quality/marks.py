@@ -94,7 +94,7 @@ MARKS = (
     ),
     Mark(
         "floating phase",
-        256 + 512 + 1024,
+        256 | 512 | 1024,
         "block commutation: phase a (256), b (512) or c (1024) is switched off, and the log does "
         "not have its voltage",
         "the phase carries no current, and its voltage is 0, that of another phase, or the mean of "
@@ -107,8 +107,8 @@ MARKS = (
 MISSING, REPEATED, HELD, CLIPPED, RANGE, OUTLIER, NO_CURRENT, BRIDGE_OFF, FLOATING = (
     mark.bit for mark in MARKS
 )
-#: Position of the bit of phase a; those of b and c follow.
-FLOATING_SHIFT = 8
+#: Bits of the floating phases a, b and c.
+FLOATING_BITS = (256, 512, 1024)
 #: The current of a row with one of these marks is not a measurement.
 NO_MEASUREMENT = MISSING | REPEATED | HELD | CLIPPED | RANGE | OUTLIER
 FAULTS = sum(mark.bit for mark in MARKS if mark.fault)
@@ -116,14 +116,18 @@ FAULTS = sum(mark.bit for mark in MARKS if mark.fault)
 
 def floating_of(quality: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the floating phase of each row: 1, 2, 3; 0 without."""
-    code = (quality & FLOATING) >> FLOATING_SHIFT  # 1, 2, 4
-    return np.asarray(code - (code == 4))
+    phase = np.zeros(len(quality), np.int64)
+    for n, bit in enumerate(FLOATING_BITS):
+        phase[quality & bit > 0] = n + 1
+    return phase
 
 
-def with_floating(quality: NDArray[np.int64], phase: NDArray[np.int8]) -> NDArray[np.int64]:
+def with_floating(quality: NDArray[np.int64], phase: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the marks with those of the floating phase."""
-    bits = np.where(phase > 0, 1 << (np.maximum(phase, 1).astype(np.int64) - 1 + FLOATING_SHIFT), 0)
-    return np.asarray((quality & ~FLOATING) | bits)
+    marked = quality & ~FLOATING
+    for n, bit in enumerate(FLOATING_BITS):
+        marked = marked + bit * (phase == n + 1)
+    return np.asarray(marked)
 
 
 def names_of(quality: int) -> list[str]:
