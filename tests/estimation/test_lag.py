@@ -6,7 +6,7 @@ import pytest
 import fluxobs
 from fluxobs.errors import FluxobsError
 from fluxobs.estimation import whole_log
-from fluxobs.estimation.lag import mixed, weights_of
+from fluxobs.estimation.hypotheses import mixed, weights_of
 from fluxobs.machines.model.frames import wrap
 from fluxobs.smoothing.record import OUTPUTS, QUANTITIES, SHARES, SmoothedRecord
 from support.records import SERVO, driven, log_columns, steady
@@ -87,7 +87,7 @@ def record(seed, offset):
 
 def test_two_records_give_the_moments_of_their_mixture():
     records, weights = [record(1, 0.2), record(2, 0.5)], [0.7, 0.3]
-    joint, square = mixed(records, weights)
+    joint, square = mixed(records, weights, ["lag"] * (len(records) - 1))
     for name in ("theta_e", "speed_e", "torque", "psi_f", "resistance"):
         means = np.array([one.outputs[name] for one in records])
         stds = np.array([one.outputs[f"{name}_std"] for one in records])

@@ -73,6 +73,8 @@ class Check:
         What this log cannot show.
     fits : str
         The parameter values that fit best, as text.
+    factors : tuple of float, optional
+        R_s, the inductances and the magnet flux that fit best, over those of the machine file.
     """
 
     findings: tuple[Finding, ...]
@@ -80,6 +82,7 @@ class Check:
     residual: float | None
     notes: tuple[str, ...] = ()
     fits: str = ""
+    factors: tuple[float, float, float] | None = None
 
     @property
     def sound(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -206,7 +207,8 @@ class Search:
             share = min(candidate.fit.share for candidate in candidates)
             level = max(1.0, (share / MODEL) ** 2)
             lowest = min(candidate.cost(level) for candidate in candidates)
-            if best.cost(level) <= lowest or len(found) == MOST_MISTAKES:
+            # Where nothing turns, no cost is finite, and nothing improves it.
+            if not best.cost(level) > lowest or len(found) == MOST_MISTAKES:
                 return SearchResult(given, best, found, equivalent, candidates, level)
             alike = [
                 candidate
@@ -264,7 +266,11 @@ def check_log(
         }
         fits_by_lag = {0: best.fit} | (lagged_fits if not result.mistakes else {})
         findings += check_truth(true.channel, machine, data, fits_by_lag, rows, log.layout.lag)
-    return Check((*column_findings, *findings), given.fit.share, best.fit.share, notes, fits)
+    ln_R, ln_L, ln_psi = best.fit.values[: PSI + 1].tolist()
+    factors = (math.exp(ln_R), math.exp(ln_L), math.exp(ln_psi))
+    return Check(
+        (*column_findings, *findings), given.fit.share, best.fit.share, notes, fits, factors
+    )
 
 
 def _report_no_fit(

@@ -86,6 +86,8 @@ class Budget:
         Start and end of each stretch that does not fit its surroundings [s].
     contradiction : str
         Item of the assumption that the log contradicts, or an empty string.
+    wrong_inductance : float
+        Probability that the inductance of the machine file is wrong beyond its prior.
     """
 
     torque_factor: float = 1.0
@@ -98,6 +100,7 @@ class Budget:
     misfit: float = float("nan")
     stretches: list[tuple[float, float]] = field(default_factory=list)
     contradiction: str = ""
+    wrong_inductance: float = 0.0
 
     def add_stretches(self, t: Array, doubtful: NDArray[np.bool_]) -> None:
         """Add the stretches of consecutive doubtful rows at times `t`."""

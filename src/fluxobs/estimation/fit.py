@@ -21,6 +21,9 @@ SATURATED = 2.7
 #: The same for the sag of the DC link. Of 56 drives without sag 95 % have less than 1.5, of 12 with
 #: 5 to 12 % of sag 10 have more (benchmarks/faults.py --kind "link sag").
 SAGGED = 3.5
+#: The same for the magnet flux, whose prior is a quarter: with a quarter of the flux or less, the
+#: search ended in another minimum (benchmarks/faults.py --kind "open loop").
+WEAK = 3.0
 
 
 def typical_std(record: SmoothedRecord) -> float:
@@ -47,6 +50,8 @@ def limit_of(model: SmoothingModel, name: str) -> float:
     """Return the deviation of an assumption that contradicts its prior, in standard deviations."""
     if name == "link_sag":
         return SAGGED
+    if name == "psi_f":
+        return WEAK
     constant = not model.numbers["one_inductance"] and model.map["kind"] == LinearMap.code
     return SATURATED if constant and name in ("L_d", "L_q") else CONTRADICTION
 

@@ -46,7 +46,8 @@ from .budget import Budget
 from .columns import EstimateRows, rows_of
 from .course import Course, Learning, course_of, no_course
 from .fit import contradiction, doubts_bridge, inductance_error, inverter_loss, rank, typical_std
-from .lag import LEAST_WEIGHT, LagDecision, mixed, weights_of
+from .hypotheses import LEAST_WEIGHT, mixed, other_inductances, weights_of, with_inductance
+from .lag import LagDecision
 from .statistics import THIN_ROWS, Statistics
 
 #: Rows of a window of a long log, and rows that it shares with each neighbour: at 20 kHz, 6.6 s
@@ -80,7 +81,7 @@ class SmoothedWindow:
     window : Window
     record : SmoothedRecord, optional
         None if nothing anchors the rows.
-    square : float
+    square : float, optional
         Mean square of the difference of the positions to another probable lag [rad^2].
     contradiction : str
         Item that contradicts its prior, or an empty string.
@@ -88,26 +89,29 @@ class SmoothedWindow:
 
     window: Window
     record: SmoothedRecord | None = None
-    square: float = 0.0
+    square: float | None = None
     contradiction: str = ""
 
 
 @dataclass
 class Hypothesis:
-    """A possible error of the log's lag, and what the log teaches if it is true.
+    """A possible error of the log's lag or of the machine file, and what the log teaches then.
 
     Attributes
     ----------
     shift : int
         [samples].
+    inductance : float
+        True inductance over that of the machine file.
     weight : float
         Probability.
     course : Course
     cost : float
-        Negative logarithm of the likelihood.
+        Negative logarithm of the likelihood and of the prior.
     """
 
     shift: int
+    inductance: float = 1.0
     weight: float = 1.0
     course: Course = field(default_factory=no_course)
     cost: float = 0.0
@@ -189,7 +193,10 @@ class WholeLog:
         for hypothesis, weight in zip(self.hypotheses, weights, strict=True):
             hypothesis.weight = float(weight)
         self.hypotheses.sort(key=lambda hypothesis: -hypothesis.weight)
-        self.weights = {hypothesis.shift: hypothesis.weight for hypothesis in self.hypotheses}
+        self.weights = dict.fromkeys([hypothesis.shift for hypothesis in self.hypotheses], 0.0)
+        for hypothesis in self.hypotheses:
+            self.weights[hypothesis.shift] += hypothesis.weight
+        self.budget.wrong_inductance = sum(h.weight for h in self.hypotheses if h.inductance != 1)
         self.hypotheses = [h for h in self.hypotheses if h.weight > LEAST_WEIGHT]
         self._learnt = True
 
@@ -240,30 +247,52 @@ class WholeLog:
 
     def _learn_segments(self) -> None:
         """Learn the course of the parameters from segments of a long log."""
-        learnings: list[list[Learning]] = [[] for _ in self.hypotheses]
-        for segment, records in in_parallel(self._learn_segment, self._anchored_segments()):
-            self._add_costs(records)
-            time = float(segment.samples.t[len(segment.valid) // 2])
-            for n, record in enumerate(records):
-                learnings[n].append(Learning(time, record.assumed, record.misfit))
-        for n, hypothesis in enumerate(self.hypotheses):
-            if self.model is not None and learnings[n]:
-                hypothesis.course = course_of(self.model, learnings[n])
+        self._learn_from_segments(self.hypotheses, self.count)
+        others = self._others(min(self.hypotheses, key=lambda hypothesis: hypothesis.cost))
+        if others:
+            self._learn_from_segments(others, lambda _: None)
+            self.hypotheses += others
         self._weigh()
         self.budget.misfit = self.course.misfit
 
-    def _anchored_segments(self) -> Iterator[Anchored]:
+    def _learn_from_segments(
+        self, hypotheses: list[Hypothesis], count: Callable[[int], Any]
+    ) -> None:
+        """Learn the course of each hypothesis, and add its cost."""
+        learnings: list[list[Learning]] = [[] for _ in hypotheses]
+
+        def learn(segment: Anchored) -> tuple[Anchored, list[SmoothedRecord]]:
+            anchors = anchors_of(segment)
+            model = self._model_for(segment, anchors)
+            return segment, self._learn_all(model, segment, anchors, hypotheses)
+
+        for segment, records in in_parallel(learn, self._anchored_segments(count)):
+            self._add_costs(hypotheses, records)
+            time = float(segment.samples.t[len(segment.valid) // 2])
+            for n, record in enumerate(records):
+                learnings[n].append(Learning(time, record.assumed, record.misfit))
+        for n, hypothesis in enumerate(hypotheses):
+            if self.model is not None and learnings[n]:
+                hypothesis.course = course_of(self.model, learnings[n])
+
+    def _others(self, best: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses of a wrong inductance if what was learnt is suspicious."""
+        if self.model is None or not len(best.course.times):
+            return []
+        assumed = best.course.at(float(np.mean(best.course.times)), self.model)
+        return [
+            Hypothesis(best.shift, factor, cost=cost)
+            for factor, cost in other_inductances(self.model, assumed)
+        ]
+
+    def _anchored_segments(self, count: Callable[[int], Any]) -> Iterator[Anchored]:
         """Yield the segments whose angles are known; the first decides the model."""
         for segment in self._segments():
-            self.count(len(segment.valid))
+            count(len(segment.valid))
             anchors = anchors_of(segment)
             if anchors.sum() >= LEAST_ANCHORS:
                 self._model_for(segment, anchors)
                 yield segment
-
-    def _learn_segment(self, segment: Anchored) -> tuple[Anchored, list[SmoothedRecord]]:
-        anchors = anchors_of(segment)
-        return segment, self._learn_lags(self._model_for(segment, anchors), segment, anchors)
 
     def _model_for(self, rows: Anchored, anchors: NDArray[np.bool_]) -> SmoothingModel:
         """Return the model of the log; the first record decides the usual speed."""
@@ -282,23 +311,31 @@ class WholeLog:
             )
         return self.model
 
-    def _learn_lags(
-        self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]
+    def _learn_all(
+        self,
+        model: SmoothingModel,
+        rows: Anchored,
+        anchors: NDArray[np.bool_],
+        hypotheses: list[Hypothesis],
     ) -> list[SmoothedRecord]:
-        """Smooth and learn with each lag."""
+        """Smooth and learn with each hypothesis."""
         return [
-            self._learn(model, later(rows, hypothesis.shift), anchors)
-            for hypothesis in self.hypotheses
+            self._learn(
+                with_inductance(model, hypothesis.inductance),
+                later(rows, hypothesis.shift),
+                anchors,
+            )
+            for hypothesis in hypotheses
         ]
 
-    def _add_costs(self, records: list[SmoothedRecord]) -> None:
-        """Add what a record of each lag costs."""
+    def _add_costs(self, hypotheses: list[Hypothesis], records: list[SmoothedRecord]) -> None:
+        """Add what a record of each hypothesis costs."""
         comparable = len({record.model.rows_per_block for record in records}) == 1
         best = min(records, key=rank)
-        for hypothesis, record in zip(self.hypotheses, records, strict=True):
+        for hypothesis, record in zip(hypotheses, records, strict=True):
             if comparable:
                 hypothesis.cost += record.cost
-            elif record is not best:  # another start with other blocks fits this lag better
+            elif record is not best:  # another start with other blocks fits better
                 hypothesis.cost += UNLIKELY
 
     def _samples(self, rows: Anchored, anchors: NDArray[np.bool_]) -> RecordSamples:
@@ -406,7 +443,7 @@ class WholeLog:
             middle = float(rows.samples.t[(window.first + window.last) // 2])
             records = [
                 self._with_course(
-                    model,
+                    with_inductance(model, hypothesis.inductance),
                     later(rows, hypothesis.shift),
                     anchors,
                     hypothesis.course.at(middle, model),
@@ -414,7 +451,11 @@ class WholeLog:
                 for hypothesis in self.hypotheses
             ]
         weights = [hypothesis.weight for hypothesis in self.hypotheses]
-        record, square = mixed(records, weights)
+        differs = [
+            "L_d" if hypothesis.inductance != self.best.inductance else "lag"
+            for hypothesis in self.hypotheses[1:]
+        ]
+        record, square = mixed(records, weights, differs)
         return SmoothedWindow(window, record, square, contradiction(model, record.assumed))
 
     def _with_course(
@@ -443,7 +484,7 @@ class WholeLog:
         self.budget.contradiction = self.budget.contradiction or smoothed.contradiction
         if record is None or smoothed.contradiction or not record.known.any():
             return self._unknown(rows, first, last)
-        if len(self.hypotheses) > 1:
+        if smoothed.square is not None:
             self._difference += smoothed.square * (last - first)
             self._compared += last - first
         voltage, std = inverter_loss(record.model, record.assumed)
@@ -459,14 +500,25 @@ class WholeLog:
     ) -> list[SmoothedRecord]:
         """Learn from the only window of a short log; return the record of each lag."""
         time = float(rows.samples.t[len(rows.valid) // 2])
-        records = {}
-        learnt = self._learn_lags(model, rows, anchors)
-        self._add_costs(learnt)
-        for hypothesis, record in zip(self.hypotheses, learnt, strict=True):
-            hypothesis.course = course_of(model, [Learning(time, record.assumed, record.misfit)])
-            records[hypothesis.shift] = record
+        records: list[tuple[Hypothesis, SmoothedRecord]] = []
+
+        def learn(hypotheses: list[Hypothesis]) -> None:
+            learnt = self._learn_all(model, rows, anchors, hypotheses)
+            self._add_costs(hypotheses, learnt)
+            for hypothesis, record in zip(hypotheses, learnt, strict=True):
+                learning = Learning(time, record.assumed, record.misfit)
+                hypothesis.course = course_of(model, [learning])
+                records.append((hypothesis, record))
+
+        learn(self.hypotheses)
+        others = self._others(min(self.hypotheses, key=lambda hypothesis: hypothesis.cost))
+        if others:
+            learn(others)
+            self.hypotheses += others
         self._weigh()
-        kept = [records[hypothesis.shift] for hypothesis in self.hypotheses]
+        kept = [
+            record for hypothesis in self.hypotheses for own, record in records if own is hypothesis
+        ]
         self.budget.misfit = kept[0].misfit
         return kept
 
@@ -488,9 +540,7 @@ class WholeLog:
 
         offset, offset_std = pair("offset_alpha", "offset_beta")
         asymmetry, asymmetry_std = pair("voltage_gain_re", "voltage_gain_im")
-        (L_d, L_d_std), (L_q, L_q_std) = (
-            inductance_error(model, assumed, axis, self.calibration) for axis in "dq"
-        )
+        (L_d, L_d_std), (L_q, L_q_std) = (self._inductance_error(model, axis) for axis in "dq")
         psi_f, resistance = model.numbers["psi"], model.numbers["resistance"]
         magnets = self.machine.magnets
         return Learnt(
@@ -509,6 +559,23 @@ class WholeLog:
             inductance_error=(L_d, L_q),
             inductance_std=(L_d_std, L_q_std),
         )
+
+    def _inductance_error(self, model: SmoothingModel, axis: str) -> tuple[float, float]:
+        """Return the error of an inductance, averaged over the hypotheses, and its std [1]."""
+        if not model.stds[f"L_{axis}"] > 0:
+            return 0.0, 0.0
+        ratios, variances, weights = [], [], []
+        for hypothesis in self.hypotheses:
+            times = hypothesis.course.times
+            assumed = hypothesis.course.at(float(np.mean(times)) if len(times) else 0.0, model)
+            error, std = inductance_error(model, assumed, axis, self.calibration)
+            ratios.append((1 + error) * hypothesis.inductance)
+            variances.append((std * hypothesis.inductance) ** 2)
+            weights.append(hypothesis.weight)
+        share = np.array(weights) / sum(weights)
+        mean = float(share @ np.array(ratios))
+        spread = share @ (np.array(variances) + (np.array(ratios) - mean) ** 2)
+        return mean - 1, float(np.sqrt(spread))
 
     def _add_budget(
         self,

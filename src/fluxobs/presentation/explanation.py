@@ -15,6 +15,7 @@ from ..estimation.run import LogRun
 from ..estimation.truth import TruthFit, fit_truth
 from ..machines import Machine, RotatingMachine
 from ..machines.file_text import with_found
+from .agreement import agreed
 from .result_data import facts
 from .summary import paragraph
 from .warnings import warnings
@@ -49,11 +50,14 @@ class ExplainedRun(LogRun):
 
     @cached_property
     def checked(self) -> Check | None:
-        """Result of :func:`fluxobs.check` on the log; None if the log cannot be checked."""
+        """Result of :func:`fluxobs.check` on the log, without what the estimate contradicts.
+
+        None if the log cannot be checked.
+        """
         if not isinstance(self.machine, RotatingMachine):
             return None
         try:
-            return check_log(self.log, self.machine, scales=self.scales)
+            return agreed(check_log(self.log, self.machine, scales=self.scales), self)
         except FluxobsError:  # too many gaps
             return None
 

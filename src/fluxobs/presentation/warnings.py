@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..checking.findings import Check
+from ..estimation.budget import Budget
 from ..estimation.columns import is_position
 from ..estimation.course import CONVERGED_MISFIT
 from ..estimation.learning import doubtful
@@ -33,6 +34,8 @@ FAULT_NAMES = tuple(mark.name for mark in MARKS if mark.fault)
 EXPLAINING = ("missing", "repeated", "held", "clipped", "bridge off")
 #: Warn of missing truth if a smaller share of the valid rows has a true value.
 TRUTH_SHARE = 0.99
+#: Warn of a wrong inductance from this probability on.
+DOUBTED = 0.5
 #: A voltage below this multiple of the resistive drop means standstill or very slow rotation.
 STANDING = 2.0
 
@@ -80,6 +83,8 @@ def _misfit(result: LogRun) -> list[str]:
             f"is assumed ({item.reason}). To mend it, {item.remedy}. Or check the columns with "
             f"their scales and signs, and --lag."
         ]
+    if budget.wrong_inductance > DOUBTED:
+        return [_inductance(result, budget), *_stretches(result, budget.stretches)]
     if budget.misfit > CONVERGED_MISFIT:
         return [
             "The log does not fit the machine: the innovations are larger than every usual error "
@@ -87,6 +92,21 @@ def _misfit(result: LogRun) -> list[str]:
             "with their scales and signs, and --lag."
         ]
     return _stretches(result, budget.stretches)
+
+
+def _inductance(result: LogRun, budget: Budget) -> str:
+    """Name the inductance that fits if that of the machine file does not."""
+    machine, learnt = result.rotor, result.learnt
+    assert learnt is not None
+    name, ratio = machine.inductance_names[0], 1 + learnt.inductance_error[0]
+    value, std = ratio * machine.L_dq[0], learnt.inductance_std[0] * machine.L_dq[0]
+    return (
+        f"{name} in the machine file does not fit, with a probability of "
+        f"{budget.wrong_inductance:.0%}: {si(value, 'H')} ± {si(std, 'H')} fits. The file may be "
+        f"that of another machine, or the machine is salient (L_q alone would differ) or "
+        f"saturates. The standard deviations contain this doubt. Measure L_q under load or run "
+        f"`fluxobs identify`."
+    )
 
 
 def _stretches(result: LogRun, stretches: list[tuple[float, float]]) -> list[str]:
@@ -205,7 +225,8 @@ def _validity(result: LogRun) -> list[str]:
             "the log does not determine the lag of the voltages, and the positions with the two "
             f"usual lags differ by {np.degrees(result.lag.position_difference):.2g}°: state --lag"
         )
-    if result.budget is not None and result.budget.contradiction:
+    budget = result.budget
+    if budget is not None and (budget.contradiction or budget.wrong_inductance > DOUBTED):
         return []  # named already
     share = statistics.valid / statistics.rows
     return [f"The position is valid on only {share:.1%} of the rows: {reason}."]

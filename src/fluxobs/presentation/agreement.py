@@ -1,0 +1,72 @@
+"""Findings of a check that the estimate of the same log contradicts.
+
+A check fits a few segments with R_s, the inductances, the magnet flux and the inverter voltage. The
+estimate knows more: lag, offsets, gains, iron loss and harmonics, over the whole log. What the
+check takes for a wrong inductance or lag is often one of these. Where the estimate explains the
+log, its values count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..checking.findings import Check, Finding
+from ..checking.mistakes import RIGHT
+from ..core.arrays import Array
+from ..estimation.course import CONVERGED_MISFIT
+from ..estimation.run import LogRun
+
+#: Values agree within this many standard deviations; that of a check's logarithms is at least this.
+AGREEMENT, CHECK_STD = 3.0, 0.1
+
+
+def explains(result: LogRun) -> bool:
+    """Whether the estimate explains the log."""
+    budget = result.budget
+    return (
+        budget is not None
+        and not budget.contradiction
+        and budget.misfit < CONVERGED_MISFIT
+        and result.statistics.valid > 0
+    )
+
+
+def agreed(checked: Check, result: LogRun) -> Check:
+    """Return the check without the findings that the estimate contradicts."""
+    if not explains(result):
+        return checked
+    return replace(
+        checked, findings=tuple(_agreed(finding, checked, result) for finding in checked.findings)
+    )
+
+
+def _agreed(finding: Finding, checked: Check, result: LogRun) -> Finding:
+    if finding.as_given and not finding.others:
+        return finding
+    if finding.kind == "lag" and (result.lag is None or result.lag.decided):
+        lag = result.log.layout.lag
+        return Finding("lag", f"{lag:+g}", True, (), "the whole log fits with it")
+    if finding.kind == "scale" and not finding.as_given and not _values_agree(checked, result):
+        return Finding("scale", RIGHT["scale"], True, (), "the whole log fits with the given ones")
+    return finding
+
+
+def _values_agree(checked: Check, result: LogRun) -> bool:
+    """Whether R_s, the inductances and the flux of a check are those of the estimate."""
+    learnt, machine = result.learnt, result.rotor
+    if learnt is None or checked.factors is None:
+        return False
+    psi = machine.magnet_flux
+    stds = [std for std in learnt.inductance_std if std > 0] or [0.0]
+    ratios = [learnt.resistance / machine.R_s, 1 + learnt.inductance_error[0]]
+    errors = [learnt.resistance_std / machine.R_s, max(stds)]
+    found = [*checked.factors[:2]]
+    if psi:
+        ratios.append(learnt.psi_f / psi)
+        errors.append(learnt.psi_f_std / psi)
+        found.append(checked.factors[2])
+    own: Array = np.maximum(np.array(ratios), 1e-6)
+    std = np.hypot(np.array(errors) / own, CHECK_STD)
+    return bool((np.abs(np.log(np.array(found) / own)) < AGREEMENT * std).all())
