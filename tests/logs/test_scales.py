@@ -7,7 +7,8 @@ import pytest
 
 from fluxobs import Record, RecordError, read_log
 from fluxobs.logs import scales
-from fluxobs.logs.scales import excerpts, measure_scales, scales_of, white_noise
+from fluxobs.logs.quality.noise import white_noise
+from fluxobs.logs.scales import excerpts, measure_scales, scales_of
 from fluxobs.logs.time.aligned import Aligned
 
 H = 1e-3

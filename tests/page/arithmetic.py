@@ -682,7 +682,8 @@ def indefinite(few):
 
 def transformed(moderate_vector, size):
     spectrum = np.fft.rfft(moderate_vector, size)
-    return spectrum, np.fft.irfft(spectrum, size)
+    rows = np.stack([spectrum.real, spectrum.imag])[:, : size // 2]
+    return spectrum, np.fft.irfft(spectrum, size), np.fft.fft(rows + 1j * rows[::-1], axis=1)
 
 
 def frequencies(few):

@@ -2228,6 +2228,16 @@ function $fft(re, im, sign) {
     }
 }
 $np.fft = {
+  // Along the last axis.
+  fft: $fn("x axis", (x, axis = -1) => {
+    const array = $as(x, "c"),
+      n = array.shape[array.shape.length - 1];
+    if (axis !== -1 && axis !== array.shape.length - 1)
+      throw NotImplementedError("fft: the last axis alone here");
+    const [re, im] = array.flat().map((part) => Float64Array.from(part));
+    for (let k = 0; k < re.length; k += n) $fft(re.subarray(k, k + n), im.subarray(k, k + n), -1);
+    return new NdArray(re, array.shape, "c", im);
+  }),
   rfft(x, size) {
     const [d] = $as(x).flat(),
       re = new Float64Array(size),

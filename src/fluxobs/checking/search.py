@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -267,7 +266,7 @@ def check_log(
         fits_by_lag = {0: best.fit} | (lagged_fits if not result.mistakes else {})
         findings += check_truth(true.channel, machine, data, fits_by_lag, rows, log.layout.lag)
     ln_R, ln_L, ln_psi = best.fit.values[: PSI + 1].tolist()
-    factors = (math.exp(ln_R), math.exp(ln_L), math.exp(ln_psi))
+    factors = (float(np.exp(ln_R)), float(np.exp(ln_L)), float(np.exp(ln_psi)))
     return Check(
         (*column_findings, *findings), given.fit.share, best.fit.share, notes, fits, factors
     )

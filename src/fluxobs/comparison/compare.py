@@ -18,8 +18,8 @@ from ..core.arrays import Array
 from ..errors import FluxobsError, RecordError, UsageError
 from ..logs.for_machine import open_for
 from ..logs.log import Log
+from ..logs.quality.noise import white_noise
 from ..logs.read import Source
-from ..logs.scales import white_noise
 from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..observers import Observer
 from ..observers.for_log import LEAST_NOISE, VOLTAGE_OFFSET

@@ -17,6 +17,7 @@ from ..core.arrays import Array
 from ..machines.model.flux_map import LinearMap
 from ..machines.model.frames import wrap
 from ..smoothing.record import QUANTITIES, SHARES, Assumed, SmoothedRecord, SmoothingModel
+from .fit import CONTRADICTION
 
 #: A hypothesis with a smaller weight is dropped.
 LEAST_WEIGHT = 0.003
@@ -36,7 +37,7 @@ def other_inductances(model: SmoothingModel, assumed: Assumed) -> list[tuple[flo
     if not model.numbers["one_inductance"] or not model.magnets or not model.stds["L_d"] > 0:
         return []
     deviation = assumed.deviations["L_d"]
-    if abs(deviation) < SUSPICIOUS * model.stds["L_d"]:
+    if not SUSPICIOUS < abs(deviation) / model.stds["L_d"] < CONTRADICTION:
         return []
     cost = -float(np.log(ODDS / len(FACTORS)))
     return [(factor if deviation > 0 else 1 / factor, cost) for factor in FACTORS]

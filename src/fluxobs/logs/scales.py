@@ -8,17 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.arrays import Array
 from ..errors import RecordError
 from ..machines.model.frames import wrap
 from .log import Log
 from .quality.detect import Detector
+from .quality.noise import white_noise
 from .time.aligned import Aligned, between, joined
 
 #: Number of excerpts examined, evenly spread over a log, and rows of each excerpt.
 EXCERPTS, EXCERPT_ROWS = 64, 16384
-#: Rows from which one noise level is computed; transients do not change the median of the levels.
-NOISE_ROWS = 256
 
 
 @dataclass(frozen=True)
@@ -67,25 +65,6 @@ def excerpts(log: Log) -> Iterator[Aligned]:
                     yield joined(pieces)
                     pieces = []
         row += len(batch.t)
-
-
-def white_noise(signal: Array) -> float:
-    """Return the std of one component of white noise on a smooth signal of shape (rows, 2).
-
-    Third differences remove the smooth signal and have 20 times the variance of the noise.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):  # garbage may overflow
-        differences = np.diff(signal, 3, axis=0)
-    rows = max(1, min(NOISE_ROWS, len(differences)))
-    blocks = differences[: len(differences) // rows * rows].reshape(-1, 2 * rows)
-    known = np.isfinite(blocks)
-    with np.errstate(over="ignore", invalid="ignore"):
-        squares = np.where(known, blocks, 0.0) ** 2
-    counts = known.sum(axis=1)
-    enough = counts >= rows  # half of the block
-    levels = squares.sum(axis=1)[enough] / counts[enough]
-    levels = levels[np.isfinite(levels)]
-    return float(np.sqrt(np.median(levels) / 20)) if len(levels) else 0.0
 
 
 def measure_scales(log: Log) -> Scales:

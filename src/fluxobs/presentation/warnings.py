@@ -190,6 +190,9 @@ def _rate(result: LogRun) -> list[str]:
     h, series = result.log.sample_time, result.statistics.thin.columns()
     speed = np.abs(series["speed_e"][series["valid"] > 0])
     if len(speed) == 0:
+        marked = result.statistics.quality.marked.get("injected")
+        if marked is not None and marked.rows > result.statistics.rows / 2:
+            return []  # the current vector turns with the injected signal
         # Without a valid position, use the speed of the current vector.
         speed = np.array([result.scales.current_speed])
     fastest = float(np.percentile(speed, 99))

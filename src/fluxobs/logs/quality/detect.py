@@ -19,6 +19,7 @@ from .floating import commutating, floating_phase
 from .marks import (
     CLIPPED,
     HELD,
+    INJECTED,
     MISSING,
     NO_CURRENT,
     NO_MEASUREMENT,
@@ -27,6 +28,7 @@ from .marks import (
     REPEATED,
     with_floating,
 )
+from .noise import injected
 from .outliers import outliers
 
 Flags = NDArray[np.bool_]
@@ -113,6 +115,7 @@ class Detector:
         clipped = self._clipped(current, known & ~large)
         clipped |= held & _at_extreme(current, known & ~large)
         outlier = outliers(current, self.current) & known & ~large
+        finite = np.where((known & ~large)[:, None], current, np.nan)
         idle = _long(known & (size < self.idle_limit), IDLE_ROWS)
         marks = np.zeros(len(current), np.int64)
         for flags, mark in (
@@ -123,6 +126,7 @@ class Detector:
             (large | large_voltage, RANGE),
             (outlier, OUTLIER),
             (idle, NO_CURRENT),
+            (injected(finite, self.current), INJECTED),
         ):
             marks = marks + mark * flags
         return with_floating(marks, floating_phase(current, voltage, self.idle_limit))

@@ -102,11 +102,29 @@ MARKS = (
         "its voltage is the back-EMF, from the voltage between the driven phases over a turn",
         fault=False,
     ),
+    Mark(
+        "injected",
+        2048,
+        "a high-frequency signal is injected",
+        "above 0.15 of the sampling frequency, the mean power of the current is ten times that of "
+        "noise with the median of its spectrum, in 256 rows",
+        "no restriction; it does not count as noise, nor for the speed",
+        fault=False,
+    ),
 )
 
-MISSING, REPEATED, HELD, CLIPPED, RANGE, OUTLIER, NO_CURRENT, BRIDGE_OFF, FLOATING = (
-    mark.bit for mark in MARKS
-)
+(
+    MISSING,
+    REPEATED,
+    HELD,
+    CLIPPED,
+    RANGE,
+    OUTLIER,
+    NO_CURRENT,
+    BRIDGE_OFF,
+    FLOATING,
+    INJECTED,
+) = (mark.bit for mark in MARKS)
 #: Bits of the floating phases a, b and c.
 FLOATING_BITS = (256, 512, 1024)
 #: The current of a row with one of these marks is not a measurement.
