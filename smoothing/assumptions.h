@@ -14,6 +14,7 @@
     NAME(offset_beta)                                                                          \
     NAME(current_gain_re)  /* unequal gains of the current sensors, g in i + g conj(i) [1]  */ \
     NAME(current_gain_im)                                                                      \
+    NAME(duty_gain)        /* gain of a sensor over the voltage of its phase [1]            */ \
     NAME(voltage_gain_re)  /* unequal gains of the phase voltages, likewise [1]             */ \
     NAME(voltage_gain_im)                                                                      \
     NAME(link_sag)         /* share of the voltages lost at the rated current [1]           */ \

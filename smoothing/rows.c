@@ -42,6 +42,7 @@ static vec interpolate_vector(const vec *values, fo_place at)
 /* The parts of a row that do not depend on the angle. */
 typedef struct {
     vec current, conjugate_current; /* corrected [A]; and as logged, conjugate */
+    vec by_duty, mean_by_duty;      /* error of current and mean at duty_gain = 1 [A] */
     vec mean;                       /* of the current over the interval that ends here [A] */
     vec middle;                     /* between the currents at both ends [A] */
     vec voltage, around;            /* of the interval; mean of it and the next [V] */
@@ -79,12 +80,15 @@ static void interval_at(const fo_work *w, const double p[FO_P], size_t row, inte
     /* Mean of the cubic through four samples over the interval between the middle two. */
     const vec outer = plus(sample(r->current, k - 2, n), sample(r->current, k + 1, n));
     const vec mean = times(1.0 / 24.0, minus(times(13.0, plus(here, before)), outer));
-    at->current = fo_corrected(p, here);
-    at->conjugate_current = conjugate(here);
-    at->mean = fo_corrected(p, mean);
-    at->middle = fo_corrected(p, row == 0 ? here : times(0.5, plus(here, before)));
     at->voltage = voltage_at(r, row == 0 ? 1 : row);
     at->around = times(0.5, plus(at->voltage, voltage_at(r, row + 1 < r->rows ? row + 1 : row)));
+    at->conjugate_current = conjugate(here);
+    /* The products of the phases' currents and voltages, as a vector. */
+    at->by_duty = times(1.0 / m->voltage, conjugate(product(here, at->around)));
+    at->mean_by_duty = times(1.0 / m->voltage, conjugate(product(mean, at->voltage)));
+    at->current = minus(fo_corrected(p, here), times(p[FO_P_duty_gain], at->by_duty));
+    at->mean = minus(fo_corrected(p, mean), times(p[FO_P_duty_gain], at->mean_by_duty));
+    at->middle = fo_corrected(p, row == 0 ? here : times(0.5, plus(here, before)));
     const double share = length_of(at->mean) / m->current;
     at->bend = times(-BEND * (1.0 - share) / m->current, at->mean);
     if (!w->signs_known) {
@@ -213,6 +217,7 @@ static void volt_second_columns(const fo_work *w, const double p[FO_P], const in
     column[FO_P_offset_beta] = by_current(w, p, at, vec_of(0.0, -1.0));
     column[FO_P_current_gain_re] = by_current(w, p, at, times(-1.0, i));
     column[FO_P_current_gain_im] = by_current(w, p, at, times(-1.0, turned(i)));
+    column[FO_P_duty_gain] = by_current(w, p, at, times(-1.0, at->mean_by_duty));
     column[FO_P_voltage_gain_re] = times(h, u);
     column[FO_P_voltage_gain_im] = times(h, turned(u));
     column[FO_P_link_sag] = times(-h * length_of(at->mean) / m->current, at->voltage);
@@ -222,7 +227,7 @@ static void volt_second_columns(const fo_work *w, const double p[FO_P], const in
 static const int summed[] = {
     FO_P_resistance,      FO_P_inverter_hard,   FO_P_inverter_soft,   FO_P_inverter_curve,
     FO_P_offset_alpha,    FO_P_offset_beta,     FO_P_current_gain_re, FO_P_current_gain_im,
-    FO_P_voltage_gain_re, FO_P_voltage_gain_im, FO_P_link_sag};
+    FO_P_duty_gain,       FO_P_voltage_gain_re, FO_P_voltage_gain_im, FO_P_link_sag};
 enum { SUMMED = sizeof summed / sizeof *summed };
 
 static void flux_columns(const fo_model *m, const double p[FO_P], const interval *at, const fo_relation *f,
@@ -235,6 +240,7 @@ static void flux_columns(const fo_model *m, const double p[FO_P], const interval
     column[FO_P_offset_beta] = by_rotor_current(f, times(-1.0, turned(back)));
     column[FO_P_current_gain_re] = by_rotor_current(f, times(-1.0, logged));
     column[FO_P_current_gain_im] = by_rotor_current(f, times(-1.0, turned(logged)));
+    column[FO_P_duty_gain] = by_rotor_current(f, times(-1.0, product(at->by_duty, back)));
     column[FO_P_iron_loss] =
         by_rotor_current(f, times(-speed, turned(product(flux, back))));
     const double left_d = fo_unsaturated(m, p[FO_P_saturation_d], i.re),

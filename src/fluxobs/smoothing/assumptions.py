@@ -87,10 +87,10 @@ ITEMS = (
     ),
     Item(
         "current gains",
-        ("current_gain_re", "current_gain_im"),
-        "1 %: usual tolerance between the phases of sensors",
-        "calibrate the gains of the current sensors against each other",
-        ("current_gain",),
+        ("current_gain_re", "current_gain_im", "duty_gain"),
+        "1 %: usual tolerance between the phases of sensors, and over the duty cycle",
+        "calibrate the gains of the current sensors against each other, and at several duty cycles",
+        ("current_gain", "duty_gain"),
     ),
     Item(
         "voltage gains",
@@ -168,6 +168,7 @@ GIVEN: dict[str, tuple[tuple[str, ...], str]] = {
     "offset": (("offset_alpha", "offset_beta"), "A"),
     "lag": (("lag", "delay"), "samples"),
     "current_gain": (("current_gain_re", "current_gain_im"), "1"),
+    "duty_gain": (("duty_gain",), "1"),
     "voltage_gain": (("voltage_gain_re", "voltage_gain_im"), "1"),
     "link_sag": (("link_sag",), "share at the rated current"),
     "iron_loss": (("iron_loss",), "share of the rated current"),
@@ -186,6 +187,9 @@ LAG_STD, DELAY_STD = 0.15, 0.2
 #: Standard deviation of the offset of a current component, as a share of the rated current.
 OFFSET_SHARE = 0.015
 CURRENT_GAIN_STD = ASYMMETRY_STD
+#: Change of a sensor's gain over the usual voltage of its phase: amplifiers and sampling instants that
+#: depend on the duty cycle.
+DUTY_GAIN_STD = 0.01
 VOLTAGE_GAIN_STD = 0.005
 IRON_LOSS_SHARE = 0.02
 LINK_SAG_STD = 0.01
@@ -197,7 +201,7 @@ CURVE_STD = 1.0
 #: The same of a magnet flux that was guessed from the log, as a share.
 GUESSED_PSI_SHARE = 0.5
 #: Common scales of all voltages and of all currents [1]: they leave every angle unchanged.
-VOLTAGE_SCALE_STD, CURRENT_SCALE_STD = 0.01, 0.01
+VOLTAGE_SCALE_STD, CURRENT_SCALE_STD = 0.03, 0.01
 
 
 def prior_stds(
@@ -230,6 +234,7 @@ def prior_stds(
     stds["lag"], stds["delay"] = LAG_STD, DELAY_STD
     stds["offset_alpha"] = stds["offset_beta"] = OFFSET_SHARE * rated
     stds["current_gain_re"] = stds["current_gain_im"] = CURRENT_GAIN_STD
+    stds["duty_gain"] = DUTY_GAIN_STD
     asymmetry = given.get("asymmetry", VOLTAGE_GAIN_STD)
     stds["voltage_gain_re"] = stds["voltage_gain_im"] = asymmetry
     stds["link_sag"] = LINK_SAG_STD
