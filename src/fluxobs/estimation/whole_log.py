@@ -6,6 +6,7 @@ in windows that overlap; its parameters are learnt from segments spread over the
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -45,6 +46,7 @@ from .anchors import (
 from .budget import Budget
 from .columns import EstimateRows, rows_of
 from .course import Course, Learning, course_of, no_course
+from .events import SUSPICIOUS_MISFIT, EventSearch
 from .fit import contradiction, doubts_bridge, inductance_error, inverter_loss, rank, typical_std
 from .hypotheses import LEAST_WEIGHT, mixed, other_inductances, weights_of, with_inductance
 from .lag import LagDecision
@@ -57,8 +59,9 @@ WINDOW_ROWS, OVERLAP_ROWS = 131_072, 16_384
 SEGMENTS, SEGMENT_ROWS = 8, 65_536
 #: Fewest rows that anchor a record.
 LEAST_ANCHORS = 20
-#: Above this misfit, other starts are tried: a converged record has 0.001 to 0.05.
-SUSPICIOUS_MISFIT = 0.1
+#: Parts of a record that are learnt alone if the whole does not fit, and the largest share of rows
+#: that may not fit then.
+PARTS, MOST_EVENTS = 4, 0.2
 #: Cost that excludes a lag.
 UNLIKELY = 1e3
 
@@ -403,6 +406,27 @@ class WholeLog:
                 )
                 for guess in (start, model.prior()):
                     yield samples, self._with_length(model, length, guess), model
+        yield from self._from_parts(model, rows)
+
+    def _from_parts(
+        self, model: SmoothingModel, rows: Anchored
+    ) -> Iterator[tuple[RecordSamples, Assumed, SmoothingModel]]:
+        """Yield the record without the rows of an event that spoils it, if there are few."""
+        anchors = anchors_of(rows)
+        search = EventSearch(model, self._samples(rows, anchors), anchors, self._start(model))
+        count = len(rows.valid)
+        events = [
+            event
+            for first, last in itertools.pairwise(np.linspace(0, count, PARTS + 1).astype(int))
+            for event in search.events(int(first), int(last))
+        ]
+        if search.best is None or sum(b - a for a, b in events) > MOST_EVENTS * count:
+            return
+        voltage = rows.samples.voltage.copy()
+        for first, last in events:
+            voltage[first:last] = np.nan
+        without = replace(rows, samples=rows.samples._replace(voltage=voltage))
+        yield self._samples(without, anchors), search.best.assumed, model
 
     def _with_length(
         self, model: SmoothingModel, length: float, start: Assumed | None = None

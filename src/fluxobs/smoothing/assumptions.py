@@ -187,8 +187,8 @@ LAG_STD, DELAY_STD = 0.15, 0.2
 #: Standard deviation of the offset of a current component, as a share of the rated current.
 OFFSET_SHARE = 0.015
 CURRENT_GAIN_STD = ASYMMETRY_STD
-#: Change of a sensor's gain over the usual voltage of its phase: amplifiers and sampling instants that
-#: depend on the duty cycle.
+#: Change of a sensor's gain over the usual voltage of its phase: amplifiers and sampling instants
+#: that depend on the duty cycle.
 DUTY_GAIN_STD = 0.01
 VOLTAGE_GAIN_STD = 0.005
 IRON_LOSS_SHARE = 0.02
