@@ -43,7 +43,7 @@ def main() -> None:
         print(
             f"    {path.stem}: all rows {everywhere[-1]:.2f} degrees rms, "
             f"mean {error.mean():+.2f}, worst {np.abs(error).max():.1f}; "
-            f"{valid.mean():.1%} valid, from {estimates['t'][valid].min():.3g} s on; "
+            f"{valid.mean():.1%} valid, from {estimates['t'][valid].min(initial=np.inf):.3g} s on; "
             f"{(np.abs(error) < 2 * std)[valid].mean():.1%} of them within 2 sigma, "
             f"sigma {np.sqrt(np.mean(std[valid] ** 2)):.2f}, rms {np.sqrt(squares.mean()):.2f}"
         )

@@ -75,6 +75,9 @@ class Check:
         The parameter values that fit best, as text.
     factors : tuple of float, optional
         R_s, the inductances and the magnet flux that fit best, over those of the machine file.
+    rearranged : bool
+        Whether the best explanation exchanges, turns or reverses the vectors, and halves the
+        residual at least: then no estimate of the log as given is right.
     """
 
     findings: tuple[Finding, ...]
@@ -83,6 +86,7 @@ class Check:
     notes: tuple[str, ...] = ()
     fits: str = ""
     factors: tuple[float, float, float] | None = None
+    rearranged: bool = False
 
     @property
     def sound(self) -> bool:

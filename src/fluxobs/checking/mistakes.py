@@ -185,6 +185,21 @@ NEUTRAL = [
         voltage=Linear(np.sqrt(3) * _rotation(30)),
     )
 ]
+#: Currents of a delta's windings: i_a = i_ab - i_ca lags i_ab by 30° and is √3 times as large.
+DELTA = [
+    Mistake(
+        "scale",
+        "currents are those of the delta's windings, i_ab i_bc i_ca (log i_a = i_ab - i_ca and so "
+        "on)",
+        Linear(np.sqrt(3) * _rotation(-30)),
+    ),
+    Mistake(
+        "scale",
+        "currents are those of the delta's windings, i_ac i_ba i_cb (log i_a = i_ac - i_ba and so "
+        "on)",
+        Linear(np.sqrt(3) * _rotation(30)),
+    ),
+]
 #: Line voltages u_ab, u_bc, u_ca lead the phase voltages by 30° and are √3 times as large.
 LINE = [
     Mistake(

@@ -17,6 +17,7 @@ from .columns import check_columns
 from .findings import UNSEEN, Check, Finding
 from .mistakes import (
     AS_GIVEN,
+    DELTA,
     FACTOR,
     FILE,
     FRAME,
@@ -59,6 +60,8 @@ IDENTIFIABLE = 0.1
 NEAR_N_P = 0.05
 #: Report an inverter voltage if it exceeds this many standard deviations.
 CLEAR = 3.0
+#: Other vectors explain a log only if they reduce the residual to this share.
+REARRANGED = 0.5
 #: Largest number of simultaneous mistakes.
 MOST_MISTAKES = 3
 #: Starting values for the logarithm of an unknown factor: powers of two up to about ten thousand.
@@ -124,6 +127,7 @@ def possible_mistakes(machine: RotatingMachine, log: Log) -> list[Mistake]:
     file_values = [mistake for mistake in FILE if machine.magnets or not mistake.only_flux]
     frames = FRAME if frame == "alphabeta" else []
     line_voltages = {"abc": LINE, "line": NEUTRAL}.get(frame, [])
+    windings = DELTA if frame in ("abc", "line", "duty") else []
     one_sensor = inverted_sensors(measured) if len(measured) == 2 else []
     return [
         *file_values,
@@ -133,6 +137,7 @@ def possible_mistakes(machine: RotatingMachine, log: Log) -> list[Mistake]:
         *LAG,
         *frames,
         *line_voltages,
+        *windings,
         *scales,
         *sign_and_phases,
     ]
@@ -267,9 +272,10 @@ def check_log(
         findings += check_truth(true.channel, machine, data, fits_by_lag, rows, log.layout.lag)
     ln_R, ln_L, ln_psi = best.fit.values[: PSI + 1].tolist()
     factors = (float(np.exp(ln_R)), float(np.exp(ln_L)), float(np.exp(ln_psi)))
-    return Check(
-        (*column_findings, *findings), given.fit.share, best.fit.share, notes, fits, factors
-    )
+    vectors = (best.whole.current, best.whole.voltage)
+    rearranged = vectors != (SAME, SAME) and best.fit.share < REARRANGED * given.fit.share
+    residuals = given.fit.share, best.fit.share
+    return Check((*column_findings, *findings), *residuals, notes, fits, factors, rearranged)
 
 
 def _report_no_fit(

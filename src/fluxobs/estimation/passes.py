@@ -187,4 +187,5 @@ class Passes:
             "automatic": self.automatic,
             "causal": self.causal,
             "budget": None if self.whole is None else self.whole.budget,
+            "examined": None if self.whole is None else self.whole.checked,
         }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ..checking.findings import Check
 from ..logs.log import Log
 from ..logs.scales import Scales
 from ..machines import Machine, RotatingMachine, rotating
@@ -47,6 +48,8 @@ class LogRun:
         Error budget of the position; None if the run was causal or an immersed observer ran.
     lag : LagDecision, optional
         Lag that was learnt from the log; None if it was stated or not learnt.
+    examined : Check, optional
+        Check of the log; None if it was not checked yet, or cannot be checked.
     """
 
     log: Log
@@ -63,6 +66,7 @@ class LogRun:
     causal: bool
     budget: Budget | None
     lag: LagDecision | None
+    examined: Check | None
 
     @property
     def rotor(self) -> RotatingMachine:

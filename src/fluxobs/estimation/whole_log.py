@@ -6,6 +6,7 @@ in windows that overlap; its parameters are learnt from segments spread over the
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checking.findings import Check
+from ..checking.search import check_log
 from ..core.output import in_parallel
+from ..errors import FluxobsError
 from ..logs.time.aligned import between, less_lost
 from ..machines import InductionMachine, RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
@@ -162,6 +166,7 @@ class WholeLog:
         self.model: SmoothingModel | None = None
         self.hypotheses = [Hypothesis(shift) for shift in shifts]
         self.weights: dict[int, float] = {}
+        self.checked: Check | None = None
         self._learnt = False
         self._difference, self._compared = 0.0, 0
 
@@ -199,9 +204,16 @@ class WholeLog:
         self.weights = dict.fromkeys([hypothesis.shift for hypothesis in self.hypotheses], 0.0)
         for hypothesis in self.hypotheses:
             self.weights[hypothesis.shift] += hypothesis.weight
+        self._examine()
         self.budget.wrong_inductance = sum(h.weight for h in self.hypotheses if h.inductance != 1)
         self.hypotheses = [h for h in self.hypotheses if h.weight > LEAST_WEIGHT]
         self._learnt = True
+
+    def _examine(self) -> None:
+        """Check the log: with exchanged or turned vectors, an estimate may fit and be wrong."""
+        if self.model is not None:
+            with contextlib.suppress(FluxobsError):  # too many gaps
+                self.checked = check_log(self.run.log, self.machine, scales=self.run.scales)
 
     def rows(self) -> Iterator[EstimateRows]:
         """Yield the estimates of all rows in order, a window at a time."""
@@ -506,7 +518,8 @@ class WholeLog:
         window, record = smoothed.window, smoothed.record
         rows, first, last = window.rows, window.first, window.last
         self.budget.contradiction = self.budget.contradiction or smoothed.contradiction
-        if record is None or smoothed.contradiction or not record.known.any():
+        rearranged = self.checked is not None and self.checked.rearranged
+        if record is None or smoothed.contradiction or rearranged or not record.known.any():
             return self._unknown(rows, first, last)
         if smoothed.square is not None:
             self._difference += smoothed.square * (last - first)

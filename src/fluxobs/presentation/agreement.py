@@ -28,6 +28,7 @@ def explains(result: LogRun) -> bool:
     return (
         budget is not None
         and not budget.contradiction
+        and not (result.examined is not None and result.examined.rearranged)
         and budget.misfit < CONVERGED_MISFIT
         and result.statistics.valid > 0
     )

@@ -57,7 +57,8 @@ class ExplainedRun(LogRun):
         if not isinstance(self.machine, RotatingMachine):
             return None
         try:
-            return agreed(check_log(self.log, self.machine, scales=self.scales), self)
+            found = self.examined or check_log(self.log, self.machine, scales=self.scales)
+            return agreed(found, self)
         except FluxobsError:  # too many gaps
             return None
 

@@ -229,6 +229,8 @@ def _validity(result: LogRun) -> list[str]:
             f"usual lags differ by {np.degrees(result.lag.position_difference):.2g}°: state --lag"
         )
     budget = result.budget
+    if result.examined is not None and result.examined.rearranged:
+        return ["No row is valid until that is corrected."]
     if budget is not None and (budget.contradiction or budget.wrong_inductance > DOUBTED):
         return []  # named already
     share = statistics.valid / statistics.rows

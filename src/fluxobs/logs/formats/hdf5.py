@@ -14,6 +14,10 @@ from .table import Table
 
 #: MATLAB's group of referenced objects.
 _REFERENCES = "#refs#"
+#: MATLAB's group of the values of objects, and the attribute of a variable with its class.
+_SUBSYSTEM, _CLASS = "#subsystem#", "MATLAB_class"
+#: Classes whose variables are objects.
+_OBJECTS = ("timeseries", "timetable", "table", "tscollection", "Simulink.SimulationOutput")
 #: Code of deflate, and codes of filters that do not compress beyond the content of the data:
 #: shuffle, checksum, n bits.
 _DEFLATE, _PLAIN = 1, (2, 3, 5, 6)
@@ -78,12 +82,20 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
     except OSError as error:
         raise RecordError(f"{path}: not a readable HDF5 file: {error}") from None
     contents = Contents()
+    objects: dict[str, str] = {}
     limit = most_unpacked(path)
 
     def visit(name: str | bytes, node: Any) -> None:
         if isinstance(name, bytes):  # not UTF-8
             name = name.decode("utf-8", errors="replace")
-        if isinstance(node, h5py.Dataset) and not name.startswith(_REFERENCES) and node.shape:
+        if name.startswith((_REFERENCES, _SUBSYSTEM)):
+            return
+        kind = node.attrs.get(_CLASS, b"")
+        kind = kind.decode("utf-8", errors="replace") if isinstance(kind, bytes) else str(kind)
+        if kind in _OBJECTS or "MATLAB_object_decode" in node.attrs:
+            objects[name] = kind
+            return
+        if isinstance(node, h5py.Dataset) and node.shape:
             if node.is_virtual or node.external:
                 raise RecordError(
                     f"{path}: the values of {name} are kept in other files, which are not read; "
@@ -104,4 +116,17 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
         raise
     except Exception as error:  # h5py raises many kinds of errors for a broken file
         raise RecordError(f"{path}: damaged: {error}") from None
+    if objects and not contents.columns:
+        raise RecordError(objects_of_matlab(path, objects))
     return tables(path, contents)
+
+
+def objects_of_matlab(path: Path, objects: dict[str, str]) -> str:
+    """Return the message on a file with objects of MATLAB: name → class, if known."""
+    names = ", ".join(f"{name} ({kind})" if kind else name for name, kind in objects.items())
+    held = f"{names}: objects of a MATLAB class" if names else "objects of a MATLAB class"
+    return (
+        f"{path}: the file holds {held}, such as timeseries, table or a Simulink Dataset, which "
+        f"only MATLAB can read. Save arrays: s = struct; s.t = x.Time; s.i_a = x.Data (of a "
+        f"table: s = table2struct(x, 'ToScalar', true)); save('log.mat', '-struct', 's')"
+    )

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import RecordError
 from .extras import library
-from .hdf5 import open_hdf5
+from .hdf5 import objects_of_matlab, open_hdf5
 from .mat_size import check_size
 from .nested import Contents, tables
 from .table import Table
@@ -35,11 +35,7 @@ def open_mat(path: Path) -> list[Table]:
         contents, "", {name: value for name, value in content.items() if not name.startswith("__")}
     )
     if not contents.columns and "None" in content:  # the file holds an object of a MATLAB class
-        raise RecordError(
-            f"{path}: the file holds objects of a MATLAB class, such as timeseries or a Simulink "
-            f"Dataset, which only MATLAB can read. Save arrays: s = struct; s.t = x.Time; "
-            f"s.i_a = x.Data; save('log.mat', '-struct', 's')"
-        )
+        raise RecordError(objects_of_matlab(path, {}))
     return tables(path, contents)
 
 

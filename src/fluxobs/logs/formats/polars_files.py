@@ -29,7 +29,7 @@ class FrameTable(Table):
         self.path = path
         self._limit = most_unpacked(path)
         try:
-            self._lazy = scan(_source(path))
+            self._lazy = _unpacked(path, scan(_source(path)))
             self._schema = self._lazy.collect_schema()
             self.rows = int(self._lazy.select(pl.len()).collect().item())
             self._lazy = self._lazy.with_columns(self._stamps_as_seconds())
@@ -80,6 +80,37 @@ class FrameTable(Table):
                     yield as_columns(frame)
         except BROKEN as error:
             raise RecordError(f"{self.path}: reading failed midway: {error}") from None
+
+
+def _unpacked(path: Path, lazy: pl.LazyFrame) -> pl.LazyFrame:
+    """Return the samples of a table whose cells hold whole signals, one record per row.
+
+    Of signals with different lengths, those with the most usual length remain.
+
+    Raises
+    ------
+    RecordError
+        The table has several records.
+    """
+    lists = [
+        name
+        for name, kind in lazy.collect_schema().items()
+        if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric()
+    ]
+    if not lists:
+        return lazy
+    head = lazy.select(pl.col(name).cast(pl.List(pl.Float64)) for name in lists)
+    lengths = head.select(pl.all().list.len()).head(2).collect()
+    if len(lengths) != 1:
+        raise RecordError(
+            f"{path}: its cells hold whole signals ({', '.join(lists)}), and each row is a record. "
+            f"Write one file per record, for example with Polars: "
+            f"frame[k].explode(pl.col(pl.List)).write_parquet('record.parquet')"
+        )
+    rows = lengths.row(0)
+    usual = max(rows, key=rows.count)
+    kept = [name for name, count in zip(lists, rows, strict=True) if count == usual]
+    return lazy.select(pl.col(name).cast(pl.List(pl.Float64)) for name in kept).explode(kept)
 
 
 def _nanoseconds(column: pl.Expr, kind: pl.DataType) -> pl.Expr:

@@ -23,6 +23,7 @@ from ..formats import Table, read_rows
 from . import units
 from .layout import CONVERTING, NO_COLUMN, NO_TRUTH, keys_for
 from .names import Named, is_setpoint, leaf, read_name
+from .presets import refusal_of
 
 #: Number of rows examined.
 ROWS = 20_000
@@ -207,6 +208,9 @@ def guess(
     result = Guess(dict(fields), columns)
     frame = fields.get("frame")
     if frame is None:
+        refusal = "" if given else refusal_of(columns.table_of)
+        if refusal:
+            raise RecordError(f"{tables[0].table.path}: {refusal}")
         frame = next(
             (candidate for candidate in frames if _is_filled(candidate, columns, fields)), None
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable
 from importlib import resources
 from typing import Any
 
@@ -31,6 +32,16 @@ def preset_text(name: str) -> str:
     if name not in preset_names():
         raise RecordError(f"no preset {name!r}{nearest(name, preset_names())}")
     return str((_folder() / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def refusal_of(columns: Iterable[str]) -> str:
+    """Return why logs with these columns cannot be used; empty if no preset knows a reason."""
+    given = set(columns)
+    for name in preset_names():
+        content = tomllib.loads(preset_text(name))
+        if "refused" in content and set(content.get("known_by", ["?"])) <= given:
+            return f"this is a log of preset {name}: {content['refused']}"
+    return ""
 
 
 def preset_fields(name: str) -> dict[str, Any]:

@@ -36,6 +36,9 @@ RIDGE = 1e-9
 HARMONICS, HARMONIC_STD = (-5, 7), 0.015
 #: Rounds of the regression; the harmonics follow the angle of the fundamental.
 ROUNDS = 4
+#: The regressions compare sums over this part of a sector: the noise of single voltages is that of
+#: the current's derivative, and errors of the angle within a sector grow with the part.
+PART = 8
 
 Phases = NDArray[np.int64]
 
@@ -131,7 +134,7 @@ def with_back_emf(rows: Aligned, machine: RotatingMachine, sample_time: float) -
     axis = AXES[phase - 1]
     across = np.stack([-axis[:, 1], axis[:, 0]], axis=1)  # between the driven phases
     emf = ((rows.voltage - drop) * across).sum(axis=1)
-    vector = _back_emf(np.where(known, emf, 0.0), across, known, turned, speed)
+    vector = _back_emf(np.where(known, emf, 0.0), across, phase, known, turned, speed)
     wanted = ((vector + drop) * axis).sum(axis=1)
     has = (rows.voltage * axis).sum(axis=1)
     voltage = rows.voltage + np.where(known, wanted - has, 0.0)[:, None] * axis
@@ -139,7 +142,12 @@ def with_back_emf(rows: Aligned, machine: RotatingMachine, sample_time: float) -
 
 
 def _back_emf(
-    along: Array, across: Array, known: NDArray[np.bool_], turned: Array, speed: Array
+    along: Array,
+    across: Array,
+    phase: NDArray[np.int64],
+    known: NDArray[np.bool_],
+    turned: Array,
+    speed: Array,
 ) -> Array:
     """Return the vector of the back-EMF (rows, 2) [V] from its component `along` the axes `across`.
 
@@ -150,21 +158,35 @@ def _back_emf(
     axis = across[:, 0] + 1j * across[:, 1]
     turning = 1j * speed * np.exp(1j * turned)
     moving = np.where(speed == 0, 1.0, speed)
+    sectors = _Sectors(phase)
+    by_re, by_im = (sectors.integral((f * turning * axis.conj()).real) for f in (1.0, 1j))
+    weight = np.where(known, 1.0, 0.0)
 
-    def fundamental(component: Array) -> NDArray[np.complex128]:
-        return _fundamental(component, axis, known, turning, turned)
+    def fundamental(integral: Array) -> NDArray[np.complex128]:
+        """Return the factor on `turning` whose component fits best within a turn of each row."""
+        products = np.stack(
+            [by_re * by_re, by_re * by_im, by_im * by_im, by_re * integral, by_im * integral],
+            axis=1,
+        )
+        aa, ab, bb, ae, be = _sums_over_a_turn(weight[:, None] * products, turned).T
+        ridge = RIDGE * (aa + bb) + 1e-300
+        aa, bb = aa + ridge, bb + ridge
+        real, imaginary = bb * ae - ab * be, aa * be - ab * ae
+        return np.asarray((real + 1j * imaginary) / (aa * bb - ab * ab))
 
-    def left(component: Array) -> Array:
-        """Return what the fundamental leaves of a component."""
-        return (component - (fundamental(component) * axis.conj()).real)[known]
+    def left(integral: Array) -> Array:
+        """Return what the fundamental leaves."""
+        factor = fundamental(integral)
+        return (integral - factor.real * by_re - factor.imag * by_im)[known]
 
-    rest = left(along)
+    measured = sectors.integral(along)
+    rest = left(measured)
     harmonics = np.zeros(len(along), complex)
+    factor = fundamental(measured)
     shares: Array = np.zeros(2 * len(HARMONICS))
     columns: Array = np.zeros((len(rest), len(shares)))
     for _ in range(ROUNDS):
-        vector = fundamental(along - (harmonics * axis.conj()).real)
-        unit = np.where(speed == 0, 1.0, vector / (1j * moving))
+        unit = np.where(speed == 0, 1.0, factor * turning / (1j * moving))
         psi = np.abs(unit)
         rotor = unit / np.maximum(psi, 1e-300)
         # Locked to the fundamental, they would bend the regression: it then stops elsewhere.
@@ -173,32 +195,31 @@ def _back_emf(
             for n in HARMONICS
             for c in (1.0, 1j)
         ]
-        columns = np.stack([left((order * axis.conj()).real) for order in orders], axis=1)
+        integrals = [sectors.integral((order * axis.conj()).real) for order in orders]
+        columns = np.stack([left(integral) for integral in integrals], axis=1)
         variance = float(np.mean((rest - columns @ shares) ** 2))
         normal = columns.T @ columns + variance / HARMONIC_STD**2 * np.eye(len(orders))
         shares = np.asarray(np.linalg.lstsq(normal, columns.T @ rest, rcond=None)[0])
         harmonics = np.asarray(shares @ np.stack(orders))
-    vector = fundamental(along - (harmonics * axis.conj()).real) + harmonics
+        factor = fundamental(measured - np.asarray(shares @ np.stack(integrals)))
+    vector = factor * turning + harmonics
     return np.stack([vector.real, vector.imag], axis=1)
 
 
-def _fundamental(
-    along: Array,
-    axis: NDArray[np.complex128],
-    known: NDArray[np.bool_],
-    turning: NDArray[np.complex128],
-    turned: Array,
-) -> NDArray[np.complex128]:
-    """Return g · turning with the complex g whose component along the axes fits best in a turn."""
-    by_re, by_im = (turning * axis.conj()).real, (1j * turning * axis.conj()).real
-    products = np.stack(
-        [by_re * by_re, by_re * by_im, by_im * by_im, by_re * along, by_im * along], axis=1
-    )
-    aa, ab, bb, ae, be = _sums_over_a_turn(np.where(known[:, None], products, 0.0), turned).T
-    ridge = RIDGE * (aa + bb) + 1e-300
-    aa, bb = aa + ridge, bb + ridge
-    g = ((bb * ae - ab * be) + 1j * (aa * be - ab * ae)) / (aa * bb - ab * ab)
-    return np.asarray(g * turning)
+class _Sectors:
+    """Runs of rows with the same floating phase."""
+
+    def __init__(self, phase: NDArray[np.int64]) -> None:
+        self.starts = np.flatnonzero(np.diff(phase, prepend=-1) != 0)
+        counts = np.diff(np.append(self.starts, len(phase)))
+        rows = np.arange(len(phase))
+        self.before = np.maximum(rows - np.repeat(np.maximum(counts // PART, 1), counts), 0)
+        self.inside = self.before >= np.repeat(self.starts, counts)
+
+    def integral(self, values: Array) -> Array:
+        """Return the sum over the rows before, a part of the sector; 0 near its begin."""
+        total = np.cumsum(values)
+        return np.where(self.inside, total - total[self.before], 0.0)
 
 
 def _turning(phase: NDArray[np.int64], sample_time: float) -> tuple[Array, Array] | None:
