@@ -116,7 +116,7 @@ def test_learnt_parameters_are_saved(folder):
     assert done.returncode == 0, done.stderr
     learnt = read_machine(folder / "learnt.toml")
     assert pytest.approx(1.3 * PMSM.R_s, rel=0.02) == learnt.R_s
-    assert learnt.R_s_std == pytest.approx(0.15 * learnt.R_s, rel=0.1)  # heat
+    assert learnt.R_s_std == pytest.approx(0.15 * learnt.R_s, rel=0.15)  # heat
     assert learnt.inverter_voltage == pytest.approx(6.0, rel=0.1)
     assert "# ± " in (folder / "learnt.toml").read_text()
     again = estimate(folder, machine="learnt.toml")

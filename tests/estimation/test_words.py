@@ -75,7 +75,7 @@ def changed(run, counts=None, **statistics):
         for name in ("log", "machine", "observer", "scales", "unknowns", "memory", "priors")
     }
     fields |= {"learnt": None, "automatic": False, "causal": False, "counts": counts}
-    fields |= {"budget": run.budget, "lag": run.lag}
+    fields |= {"budget": run.budget, "lag": run.lag, "examined": None}
     return fluxobs.presentation.explanation.ExplainedRun(
         **fields, statistics=replace(run.statistics, **statistics)
     )
@@ -144,7 +144,10 @@ def run_at(run, speed):
     columns = {"speed_e": np.full(10, speed), "valid": np.ones(10)}
     thin = SimpleNamespace(columns=lambda: columns)
     return SimpleNamespace(
-        log=run.log, scales=SCALES, statistics=SimpleNamespace(thin=thin), machine=run.machine
+        log=run.log,
+        scales=SCALES,
+        statistics=SimpleNamespace(thin=thin, quality=Quality()),
+        machine=run.machine,
     )
 
 

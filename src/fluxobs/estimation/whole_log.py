@@ -6,8 +6,6 @@ in windows that overlap; its parameters are learnt from segments spread over the
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -211,9 +209,12 @@ class WholeLog:
 
     def _examine(self) -> None:
         """Check the log: with exchanged or turned vectors, an estimate may fit and be wrong."""
-        if self.model is not None:
-            with contextlib.suppress(FluxobsError):  # too many gaps
-                self.checked = check_log(self.run.log, self.machine, scales=self.run.scales)
+        if self.model is None:
+            return
+        try:
+            self.checked = check_log(self.run.log, self.machine, scales=self.run.scales)
+        except FluxobsError:  # too many gaps
+            self.checked = None
 
     def rows(self) -> Iterator[EstimateRows]:
         """Yield the estimates of all rows in order, a window at a time."""
@@ -427,10 +428,11 @@ class WholeLog:
         anchors = anchors_of(rows)
         search = EventSearch(model, self._samples(rows, anchors), anchors, self._start(model))
         count = len(rows.valid)
+        edges = np.linspace(0, count, PARTS + 1).astype(int).tolist()
         events = [
             event
-            for first, last in itertools.pairwise(np.linspace(0, count, PARTS + 1).astype(int))
-            for event in search.events(int(first), int(last))
+            for first, last in zip(edges, edges[1:])  # noqa: B905, RUF007  # the page has no itertools
+            for event in search.events(first, last)
         ]
         if search.best is None or sum(b - a for a, b in events) > MOST_EVENTS * count:
             return
