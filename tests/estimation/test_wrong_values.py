@@ -150,3 +150,93 @@ def test_a_surface_machine_without_a_flux_in_its_file():
     assert valid.mean() > 0.95
     assert error[valid].max() < 3
     assert result.learnt.psi_f == pytest.approx(PMSM.psi_f, rel=0.02)
+
+
+# ---- every advice has a situation, and following it removes the warning ----------------------
+
+
+def _plain(machine=PMSM, size=5.0):
+    voltage, current, _ = log_of(Plant(machine.R_s, machine.flux_dq), size)
+    return voltage, current
+
+
+def _salient():
+    psi, L = PMSM.psi_f, PMSM.L_s
+    return log_of(Plant(PMSM.R_s, lambda i: psi + L * i.real + 2.2j * L * i.imag), 5.0)[:2]
+
+
+def _repeated():
+    voltage, current = (x.copy() for x in _plain())
+    voltage[5000:5060], current[5000:5060] = voltage[4999], current[4999]
+    return voltage, current
+
+
+def _sagging():
+    voltage, current = _plain()
+    return voltage / (1 - 0.2 * np.abs(current) / 5), current
+
+
+def _weakening():
+    psi, L = PMSM.psi_f, PMSM.L_s
+    lost = 0.2 * np.clip((FINE - 0.8) / 0.005, 0, 1)
+    return log_of(Plant(PMSM.R_s, lambda i: psi * (1 - lost) + L * i), 5.0)[:2]
+
+
+def _slow():
+    return tuple(x[::18] for x in _plain())
+
+
+def _resting():
+    current = 5.0 + 0.01 * white(4000, 1)
+    return PMSM.R_s * current.real + 0j * current, current
+
+
+IPM = fluxobs.example("ipm-2kw2").with_values(L_d=PMSM.L_s, L_q=2.2 * PMSM.L_s)
+IPM = IPM.with_values(psi_f=PMSM.psi_f, R_s=PMSM.R_s)
+#: Situation (log, machine, options), warning, and the situation to which its advice leads.
+ADVICE = {
+    "faulty rows": ((_repeated, PMSM, {}), "Bad rows: 60 repeated", (_plain, PMSM, {})),
+    "wrong inductance": ((_salient, PMSM, {}), "Measure L_q under load", (_salient, IPM, {})),
+    "sagging link": ((_sagging, PMSM, {}), "log the measured DC-link voltage", (_plain, PMSM, {})),
+    "a jump": ((_weakening, PMSM, {}), "These stretches contradict", (_plain, PMSM, {})),
+    "slow log": (
+        (_slow, PMSM, {"sample_time": 18 * H}),
+        "samples per electrical period",
+        (_plain, PMSM, {}),
+    ),
+    "standstill": ((_resting, PMSM, {}), "at or near standstill", (_plain, PMSM, {})),
+    "exchanged phases": (
+        (lambda: (_plain()[0], _plain()[1].conj()), PMSM, {}),
+        "phases b and c are exchanged",
+        (_plain, PMSM, {}),
+    ),
+    "too short": (
+        (lambda: tuple(x[:200] for x in _resting()), PMSM, {}),
+        "too short to settle",
+        (_plain, PMSM, {}),
+    ),
+}
+
+
+def _warnings(situation):
+    log, machine, options = situation
+    given = {"sample_time": H, "lag": 0} | options
+    return given, fluxobs.estimate(log(), machine, **given).warnings
+
+
+@pytest.mark.parametrize("name", ADVICE)
+def test_advice_has_a_situation_and_can_be_followed(name):
+    bad, words, mended = ADVICE[name]
+    given, texts = _warnings(bad)
+    assert any(words in text for text in texts), texts
+    for text in texts:  # nothing that is stated already is asked for
+        assert "state --lag" not in text or "lag" not in given, text
+    assert not any(words in text for text in _warnings(mended)[1])
+
+
+def test_advice_does_not_ask_for_what_is_stated():
+    measured = PMSM.with_values(L_s_std=0.01 * PMSM.L_s, psi_f_std=0.001, R_s_std=0.05)
+    result = fluxobs.estimate(_plain(), measured, sample_time=H, lag=0)
+    assert not {"L_d", "magnet flux", "resistance"} & {
+        item for item in result.budget.stated if item in result.budget.advice
+    }

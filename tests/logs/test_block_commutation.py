@@ -8,8 +8,7 @@ from fluxobs.errors import ModelError
 from fluxobs.logs.quality.floating import AXES, floating_phase, with_back_emf
 from fluxobs.logs.quality.marks import FLOATING, INJECTED, floating_of, with_floating
 from fluxobs.logs.time.aligned import Aligned
-from fluxobs.simulation.drive import Profile
-from fluxobs.simulation.drive.block import simulate_block
+from fluxobs.simulation.drive import Profile, simulate_block
 from support.records import PMSM, SERVO, wrapped_degrees
 
 H = 1e-4

@@ -60,8 +60,9 @@ IDENTIFIABLE = 0.1
 NEAR_N_P = 0.05
 #: Report an inverter voltage if it exceeds this many standard deviations.
 CLEAR = 3.0
-#: Other vectors explain a log only if they reduce the residual to this share.
-REARRANGED = 0.5
+#: Other vectors explain a log only if they reduce the residual to this share. In logs with
+#: exchanged phases or the currents of a delta it is 0.001 to 0.09, with a sagging link 0.3.
+REARRANGED = 0.15
 #: Largest number of simultaneous mistakes.
 MOST_MISTAKES = 3
 #: Starting values for the logarithm of an unknown factor: powers of two up to about ten thousand.

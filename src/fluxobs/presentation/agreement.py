@@ -18,6 +18,8 @@ from ..core.arrays import Array
 from ..estimation.course import CONVERGED_MISFIT
 from ..estimation.run import LogRun
 
+#: Kinds of findings that exchange, turn or reverse vectors.
+ARRANGING = ("sign", "phases", "frame")
 #: Values agree within this many standard deviations; that of a check's logarithms is at least this.
 AGREEMENT, CHECK_STD = 3.0, 0.1
 #: The estimate knows R_s and the flux if its standard deviation is below half of the usual prior;
@@ -41,11 +43,20 @@ def explains(result: LogRun) -> bool:
 
 def agreed(checked: Check, result: LogRun) -> Check:
     """Return the check without the findings that the estimate contradicts."""
-    if not explains(result):
-        return checked
-    return replace(
-        checked, findings=tuple(_agreed(finding, checked, result) for finding in checked.findings)
-    )
+    findings = checked.findings
+    named = result.budget is not None and bool(result.budget.contradiction)
+    if (named or explains(result)) and not checked.rearranged:
+        findings = tuple(_as_given(f) if f.kind in ARRANGING else f for f in findings)
+    if explains(result):
+        findings = tuple(_agreed(f, checked, result) for f in findings)
+    return replace(checked, findings=findings)
+
+
+def _as_given(finding: Finding) -> Finding:
+    """Return the finding that the vectors are as given."""
+    if finding.as_given:
+        return finding
+    return Finding(finding.kind, RIGHT[finding.kind], True, (), "other vectors fit little better")
 
 
 def _agreed(finding: Finding, checked: Check, result: LogRun) -> Finding:

@@ -1,6 +1,7 @@
 """Closed-loop drives with motor, inverter, sensors, control, and an observer in the loop."""
 
 from .. import precision  # noqa: F401  # first, because it enables float64
+from .block import BlockRun, simulate_block
 from .control import Control
 from .examples import RATINGS, Rating, encoder_drive, rating, sensorless_drive
 from .inverter import Inverter
@@ -13,6 +14,7 @@ from .vectors import rms, rpm, to_rms, to_rpm
 
 __all__ = [
     "RATINGS",
+    "BlockRun",
     "Control",
     "Course",
     "Drive",
@@ -34,6 +36,7 @@ __all__ = [
     "sensorless_drive",
     "simulate",
     "simulate_batch",
+    "simulate_block",
     "to_rms",
     "to_rpm",
 ]
