@@ -69,10 +69,13 @@ def _learnt_lag(result: LogRun) -> str:
         return ", as learnt from the log"
     weights = " or ".join(f"{lag:+g} ({share:.0%})" for lag, share in decision.weights.items())
     degrees = np.degrees(decision.position_difference)
-    return (
-        f". The log does not determine the lag: {weights}. The two positions differ by "
-        f"{degrees:.2g}° rms, which is part of the standard deviation; state --lag if you know it"
+    difference = (
+        f" The two positions differ by {degrees:.2g}° rms, which is part of the standard "
+        f"deviation; state --lag if you know it"
+        if np.isfinite(degrees)
+        else " State --lag if you know it"
     )
+    return f". The log does not determine the lag: {weights}.{difference}"
 
 
 def mean_of(result: LogRun, output: str) -> np.ndarray:
