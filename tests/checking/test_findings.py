@@ -193,9 +193,10 @@ def test_possible_mistakes_of_a_machine_and_a_log():
 
     usual = kinds()
     assert len(usual) == len(set(usual)) == 3 + 1 + 6 + 4 + 2 + 12 + 2 + 6
-    assert len(kinds(frame="abc")) == len(usual)
-    assert len(kinds(frame="line")) == len(usual) - 1
-    assert len(kinds(frame="line", names=("i_a", "i_c"))) == len(usual) + 1
+    # Currents of a delta's windings: only with the currents of phases.
+    assert len(kinds(frame="abc")) == len(usual) + 2
+    assert len(kinds(frame="line")) == len(usual) + 1
+    assert len(kinds(frame="line", names=("i_a", "i_c"))) == len(usual) + 3
     assert len(kinds(names=("i_a", "i_b", "i_c"))) == len(usual)
     without = kinds(SYNRM)
     assert not any(words.startswith("psi_f") for words in without)
