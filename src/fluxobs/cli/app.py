@@ -49,8 +49,8 @@ may have offsets.
     fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
 
 `fluxobs COMMAND --help` lists the options. Exit codes: 0 success; 1 `check` found a mistake,
-a limit of `campaign` or `fleet` is not met, or one of many logs failed; 2 unusable input; 3 the
-position is never valid.
+a limit of `campaign` or `fleet` is not met, or one of many logs failed; 2 unusable input; 3 no
+row is valid, or most do not fit.
 """
 
 app = typer.Typer(

@@ -86,6 +86,8 @@ class Budget:
         Start and end of each stretch that does not fit its surroundings [s].
     contradiction : str
         Item of the assumption that the log contradicts, or an empty string.
+    unfit : int
+        Number of rows in these stretches.
     wrong_inductance : float
         Probability that the inductance of the machine file is wrong beyond its prior.
     """
@@ -100,10 +102,12 @@ class Budget:
     misfit: float = float("nan")
     stretches: list[tuple[float, float]] = field(default_factory=list)
     contradiction: str = ""
+    unfit: int = 0
     wrong_inductance: float = 0.0
 
     def add_stretches(self, t: Array, doubtful: NDArray[np.bool_]) -> None:
         """Add the stretches of consecutive doubtful rows at times `t`."""
+        self.unfit += int(doubtful.sum())
         for start, end in runs(doubtful):
             first, last = float(t[start]), float(t[end - 1])
             if self.stretches and start == 0 and first - self.stretches[-1][1] < MERGED:

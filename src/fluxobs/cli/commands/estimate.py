@@ -121,7 +121,7 @@ def estimate(
     units and electrical radians: t, flux_alpha, flux_beta, psi_f, theta_e, speed_e, drift_alpha,
     drift_beta, resistance, inverter_voltage and torque with their standard deviations, speed_mech,
     quality (marks of faulty rows), valid; with --truth also theta_e_error. Exit code 3: no row is
-    valid.
+    valid, or most rows do not fit.
 
     With --causal, --out writes the outputs of the observer: also theta_e_tracked, and a second
     angle while two angles are possible. For a maglev-2dof, or with current-bias, --out writes flux,
@@ -212,7 +212,8 @@ def estimate(
             show.echo(f"Warning: {warning}", err=True)
     else:
         show_result(result, str(machine), written)
-    if result.statistics.valid == 0:
+    unfit = 0 if result.budget is None else result.budget.unfit
+    if result.statistics.valid == 0 or 2 * unfit > result.statistics.rows:
         raise typer.Exit(NEVER_VALID)
 
 
@@ -225,7 +226,8 @@ def show_result(result: Result, machine: str, written: Sequence[Path]) -> None:
         show.say(f"Written: {path}")
     if result.path is None:
         typer.echo("The estimates are not saved; to save them, add --out FILE.parquet (or .csv).")
-    if result.statistics.valid == 0:
+    unfit = 0 if result.budget is None else result.budget.unfit
+    if result.statistics.valid == 0 or 2 * unfit > result.statistics.rows:
         return
     command = result.export_command(machine)
     if command is not None:
