@@ -296,6 +296,8 @@ class WholeLog:
         if self.model is None or not len(best.course.times):
             return []
         assumed = best.course.at(float(np.mean(best.course.times)), self.model)
+        if contradiction(self.model, assumed):
+            return []  # another inductance would hide it, as it hides a sagging link
         return [
             Hypothesis(best.shift, factor, cost=cost)
             for factor, cost in other_inductances(self.model, assumed)
