@@ -24,6 +24,9 @@ SAGGED = 3.5
 #: The same for the magnet flux, whose prior is a quarter: with a quarter of the flux or less, the
 #: search ended in another minimum (benchmarks/faults.py --kind "open loop").
 WEAK = 3.0
+#: The same for the only inductance of a machine, if it is too small: saturation leaves two thirds.
+#: With a sagging link an inductance of 0.4 to 0.65 fits (benchmarks/faults.py --kind "link sag").
+SMALL = 3.3
 
 
 def typical_std(record: SmoothedRecord) -> float:
@@ -46,12 +49,17 @@ def doubts_bridge(record: SmoothedRecord) -> bool:
     return bool((idle & (record.outputs["doubtful"] > 0) & (record.marks & BRIDGE_OFF == 0)).any())
 
 
-def limit_of(model: SmoothingModel, name: str) -> float:
-    """Return the deviation of an assumption that contradicts its prior, in standard deviations."""
+def limit_of(model: SmoothingModel, name: str, deviation: float = 0.0) -> float:
+    """Return the deviation of an assumption that contradicts its prior, in standard deviations.
+
+    The limit may depend on the sign of the deviation.
+    """
     if name == "link_sag":
         return SAGGED
     if name == "psi_f":
         return WEAK
+    if name == "L_d" and model.numbers["one_inductance"] and deviation < 0:
+        return SMALL
     constant = not model.numbers["one_inductance"] and model.map["kind"] == LinearMap.code
     return SATURATED if constant and name in ("L_d", "L_q") else CONTRADICTION
 
@@ -59,7 +67,9 @@ def limit_of(model: SmoothingModel, name: str) -> float:
 def contradiction(model: SmoothingModel, assumed: Assumed) -> str:
     """Return the item of the assumption that contradicts its prior most; empty if none does."""
     ratios = {
-        name: abs(assumed.deviations[name]) / model.stds[name] / limit_of(model, name)
+        name: abs(assumed.deviations[name])
+        / model.stds[name]
+        / limit_of(model, name, assumed.deviations[name])
         for name in model.active
     }
     if not ratios or not max(ratios.values()) > 1:
