@@ -58,7 +58,7 @@ MARKS = (
     Mark(
         "clipped",
         8,
-        "a phase current is at the end of its converter",
+        "a phase current is at the end of its converter or amplifier",
         "a phase stays within the resolution at its extreme, although it enters and leaves with a "
         "slope",
         "the current is missing",
