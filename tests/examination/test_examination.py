@@ -53,7 +53,7 @@ def test_a_warm_winding_and_weak_magnets():
     _, items = page(machine=SERVO.with_values(R_s=cold, psi_f=new_flux))
     temperature = items["winding temperature"]
     assert abs(temperature.value - 110) < 3 * temperature.std
-    assert temperature.std < 12  # the scales of the sensors alone are 4 K
+    assert temperature.std < 15  # the scales of the sensors alone are 8 K
     assert items["magnet flux"].verdict == "look at it"
     assert "demagnetised" in items["magnet flux"].words
     _, hot = page(machine=SERVO.with_values(R_s=0.36 / (1 + 0.00393 * 150)))

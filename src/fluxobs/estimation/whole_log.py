@@ -421,7 +421,8 @@ class WholeLog:
                 )
                 for guess in (start, model.prior()):
                     yield samples, self._with_length(model, length, guess), model
-        yield from self._from_parts(model, rows)
+        if len(self.run.log) <= WINDOW_ROWS + 2 * OVERLAP_ROWS:  # a long log has other segments
+            yield from self._from_parts(model, rows)
 
     def _from_parts(
         self, model: SmoothingModel, rows: Anchored
