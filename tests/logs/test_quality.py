@@ -1,6 +1,8 @@
 """Marks of quality: faults are found, and clean signals carry none."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -172,6 +174,12 @@ def test_a_gap_of_more_than_half_a_turn_is_not_bridged():
     current = rows.current.copy()
     current[3000:3100] = np.nan  # 4 rad
     assert np.isnan(bridged(current)[3000:3100]).all()
+
+
+def test_the_page_shows_the_same_marks_as_faults():
+    text = (Path(__file__).parents[2] / "web/app/plots.js").read_text("utf-8")
+    (bits,) = re.findall(r"^const FAULTS = ([0-9 |]+);$", text, re.MULTILINE)
+    assert sum(int(bit) for bit in bits.split("|")) == FAULTS
 
 
 def test_every_mark_has_a_bit_of_its_own():

@@ -206,8 +206,8 @@ const DEGREES = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 
 
 const tick = (v) => (v == null ? "" : String(Number(v.toPrecision(6))));
 
-// Marks of faults in the column `quality`: all but "no current" (logs/quality/marks.py).
-const FAULTS = ~64;
+// Marks of faults in the column `quality` (logs/quality/marks.py).
+const FAULTS = 1 | 2 | 4 | 8 | 16 | 32 | 128;
 
 // Shade the time without a valid position; a strip at the lower edge shows rows with a fault.
 function shade(view) {

@@ -76,8 +76,8 @@ class Check:
     factors : tuple of float, optional
         R_s, the inductances and the magnet flux that fit best, over those of the machine file.
     rearranged : bool
-        Whether the best explanation exchanges, turns or reverses the vectors, and halves the
-        residual at least: then no estimate of the log as given is right.
+        Whether the best explanation exchanges, turns or reverses the vectors, and reduces the
+        residual to a small part: then no estimate of the log as given is right.
     """
 
     findings: tuple[Finding, ...]

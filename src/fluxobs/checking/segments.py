@@ -119,8 +119,7 @@ def _clean(values: Array) -> Complex:
 
 def _clean_voltage(rows: Aligned) -> Complex:
     """Return voltages without short gaps and spikes; in a commutation, a short voltage is real."""
-    assert rows.marks is not None
-    if (rows.marks & FLOATING).any():
+    if rows.marks is not None and (rows.marks & FLOATING).any():
         return _bridge_gaps(_complex(rows.voltage))
     return _clean(rows.voltage)
 
@@ -183,6 +182,7 @@ def cut_segments(
     current: list[Complex] = []
     voltage: list[Complex] = []
     truths: list[Array | None] = []
+    blocks = False
     share = machine.held_share(log.held, log.sample_time)
     pieces = list(excerpts(log))
     if scales is None:
@@ -199,6 +199,7 @@ def cut_segments(
         excerpt = marked(excerpt)
         marks = excerpt.marks
         assert marks is not None
+        blocks |= bool((marks & FLOATING).any())
         faulty.append(np.asarray(marks & EXCLUDED > 0))
         idle.append(np.asarray(marks & NO_CURRENT > 0))
         current.append(_clean(excerpt.current))
@@ -235,7 +236,7 @@ def cut_segments(
         log.sample_time,
         np.stack([current[number][cut] for number, cut in chosen]),
         {
-            lag: _voltage_at_lag(log, lag, share, chosen, marked)
+            lag: _voltage_at_lag(log, lag, share, chosen, marked if blocks else None)
             if lag
             else np.stack([voltage[number][cut] for number, cut in chosen])
             for lag in LAGS
@@ -249,14 +250,18 @@ def _voltage_at_lag(
     lag: int,
     share: float,
     places: list[tuple[int, slice]],
-    marked: Callable[[Aligned], Aligned],
+    marked: Callable[[Aligned], Aligned] | None,
 ) -> Complex:
-    """Return the voltages of segments at another lag; a place is (excerpt, rows)."""
+    """Return the voltages of segments at another lag; a place is (excerpt, rows).
+
+    `marked` marks the rows of a log with block commutation, and fills the floating phases.
+    """
     voltages: dict[int, Complex] = {}
     needed = {number for number, _ in places}
     for number, excerpt in enumerate(excerpts(log.lagged(lag))):
         if number in needed:
-            voltages[number] = without_kinks(_clean_voltage(marked(excerpt)), share)
+            rows = excerpt if marked is None else marked(excerpt)
+            voltages[number] = without_kinks(_clean_voltage(rows), share)
     # Beyond the ends of the log, the voltage is zero.
     return np.nan_to_num(np.stack([voltages[number][cut] for number, cut in places]))
 

@@ -18,7 +18,7 @@ from .fit import rank
 SUSPICIOUS_MISFIT = 0.1
 #: Rows of the shortest part, and rows around the border of two parts that fit alone.
 SHORTEST, BORDER = 512, 64
-#: Fewest rows that anchor a part.
+#: Fewest rows that anchor a record or a part of it.
 LEAST_ANCHORS = 20
 
 

@@ -48,7 +48,7 @@ from .anchors import (
 from .budget import Budget
 from .columns import EstimateRows, rows_of
 from .course import Course, Learning, course_of, no_course
-from .events import SUSPICIOUS_MISFIT, EventSearch
+from .events import LEAST_ANCHORS, SUSPICIOUS_MISFIT, EventSearch
 from .fit import contradiction, doubts_bridge, inductance_error, inverter_loss, rank, typical_std
 from .hypotheses import LEAST_WEIGHT, mixed, other_inductances, weights_of, with_inductance
 from .lag import LagDecision
@@ -59,8 +59,6 @@ from .statistics import THIN_ROWS, Statistics
 WINDOW_ROWS, OVERLAP_ROWS = 131_072, 16_384
 #: Number of segments of a long log from which parameters are learnt, and their rows.
 SEGMENTS, SEGMENT_ROWS = 8, 65_536
-#: Fewest rows that anchor a record.
-LEAST_ANCHORS = 20
 #: Parts of a record that are learnt alone if the whole does not fit, and the largest share of rows
 #: that may not fit then.
 PARTS, MOST_EVENTS = 4, 0.2
