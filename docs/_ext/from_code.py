@@ -127,6 +127,11 @@ class Quantities(Markdown):
         return self.parsed(lines)
 
 
+def _bits(mask: int) -> str:
+    """Return the bits of a mask as numbers: a mark of a phase has three."""
+    return ", ".join(str(1 << n) for n in range(mask.bit_length()) if mask >> n & 1)
+
+
 class Marks(Markdown):
     """Write the table of the marks of a row."""
 
@@ -134,12 +139,9 @@ class Marks(Markdown):
         from fluxobs.logs.quality.marks import MARKS
 
         lines = ["| mark | value | meaning | found by | use |", "|---|---|---|---|---|"]
-        lines += [
-            f"| {mark.name} | {mark.bit} | {mark.meaning} | {mark.found} | {mark.use} |".replace(
-                "|i|", "\\|i\\|"
-            )
-            for mark in MARKS
-        ]
+        for mark in MARKS:
+            cells = (mark.name, _bits(mark.bit), mark.meaning, mark.found, mark.use)
+            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
         return self.parsed(lines)
 
 

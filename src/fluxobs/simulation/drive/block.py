@@ -23,7 +23,8 @@ from ...machines import RotatingMachine
 from .motor import Motor
 from .profile import Profile
 from .sensors import Sensors
-from .vectors import from_phases, pair, phases, turn
+from .simulate import count_rows
+from .vectors import from_phases, pair, phases, turn, wrap
 
 #: Harmonics of the magnet flux of a trapezoidal EMF that is flat for 120°: the n-th harmonic of the
 #: EMF is 2 sin(n π/6) / n² of the fundamental, that of the flux another n-th of it.
@@ -134,9 +135,7 @@ def simulate_block(
         )
     harmonics = TRAPEZOIDAL if trapezoidal else {}
     motor = Motor(machine.R_s, L_d, L_q, machine.magnet_flux, machine.n_p, **harmonics)
-    rows = round(duration / sample_time)
-    if rows < 2:
-        raise ModelError(f"duration = {duration:g} s is less than two samples of {sample_time:g} s")
+    rows = count_rows(sample_time, duration)
     t = jnp.arange(rows) * sample_time
     inputs = tuple(Profile.of(x).at(t) for x in (speed, current, dc_link))
     drawn = jnp.asarray(np.random.default_rng(seed).standard_normal((rows, 3)))
@@ -214,7 +213,7 @@ def _sample(
         current, zero, jax.lax.complex(*offset), jax.lax.complex(noise[0], noise[1]), noise[2]
     )
     out = (
-        jnp.arctan2(jnp.sin(state.theta), jnp.cos(state.theta)),
+        wrap(state.theta),
         phases(measured),
         terminals,
         off,

@@ -217,7 +217,7 @@ def simulate(
         state is not finite.
     """
     check(drive, course)
-    rows = _count_rows(drive, duration)
+    rows = count_rows(float(drive.sample_time), duration)
     noise = _draw_noise([seed], rows)[0]
     trace = _simulate(drive, course, noise, substeps(drive, course), delay)
     return _create_run(trace, float(drive.sample_time))
@@ -261,7 +261,7 @@ def simulate_batch(
             f"a batch needs as many drives as courses and seeds, at least one; got {len(drives)} "
             f"drives, {len(courses)} courses and {len(seeds)} seeds"
         )
-    rows = _count_rows(drives[0], duration)
+    rows = count_rows(float(drives[0].sample_time), duration)
     sample_times = {float(drive.sample_time) for drive in drives}
     if len(sample_times) != 1:
         raise ModelError(f"a batch needs one sample time, got {sorted(sample_times)} s")
@@ -444,15 +444,13 @@ def substeps(drive: Drive, course: Course) -> int:
     return max(steps, 1)
 
 
-def _count_rows(drive: Drive, duration: float) -> int:
+def count_rows(sample_time: float, duration: float) -> int:
     """Return the number of samples in `duration` [s]; raise ModelError if it is below two."""
     if not (isinstance(duration, int | float) and np.isfinite(duration)):
         raise ModelError(f"duration must be a number of seconds, got {duration!r}")
-    rows = round(duration / float(drive.sample_time))
+    rows = round(duration / sample_time)
     if rows < 2:
-        raise ModelError(
-            f"duration = {duration:g} s is less than two samples of {float(drive.sample_time):g} s"
-        )
+        raise ModelError(f"duration = {duration:g} s is less than two samples of {sample_time:g} s")
     return rows
 
 
