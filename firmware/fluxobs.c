@@ -719,6 +719,35 @@ static void finish_map(const fo_observer *o, fo_state *s, bool trusted)
 }
 #endif
 
+/* Why the position is not valid. */
+static fo_reason judge(const fo_observer *o, const fo_state *s, const solution *r)
+{
+    fo_reason reason = FO_VALID;
+    if (!(s->have_current && s->have_voltage)) {
+        reason = FO_NO_DATA;
+    } else if (!s->trusted) {
+        reason = FO_SEARCHING;
+    } else if (!(s->tracker.settled >= TRACKER_SETTLED)) {
+        reason = FO_SETTLING;
+    } else if (!(s->voltage_turn < VOLTAGE_LIMIT * s->length)) {
+        /* the innovations do not show the slow turn by a voltage error of plausible size */
+        reason = FO_SLOW;
+    } else if (!(r->variance < STD_LIMIT * STD_LIMIT)) {
+        reason = FO_UNCERTAIN;
+    } else {
+#if FO_MAPPED
+        /* the map was linearised at the tracker's predicted angle */
+        const bool near = fo_abs(wrap(r->theta - s->tracker.angle)) < STD_LIMIT;
+        if (has_map(o) && (s->map_point.outside || !near)) {
+            reason = FO_OUTSIDE_MAP;
+        }
+#else
+        (void)o;
+#endif
+    }
+    return reason;
+}
+
 /* Writes the estimate of a sample, and whether its position is valid. */
 static void write_estimate(const fo_observer *o, const fo_state *s, const solution *r,
                            fo_estimate *e)
@@ -733,15 +762,7 @@ static void write_estimate(const fo_observer *o, const fo_state *s, const soluti
     e->speed_e = s->tracker.speed;
     e->innovation = s->innovation;
     e->noise_share = s->noise_share;
-    /* The innovations do not show the slow turn by a voltage error of plausible size. */
-    e->valid = s->trusted && s->tracker.settled >= TRACKER_SETTLED &&
-               r->variance < STD_LIMIT * STD_LIMIT && s->voltage_turn < VOLTAGE_LIMIT * s->length;
-#if FO_MAPPED
-    if (has_map(o)) { /* the map was linearised at the tracker's predicted angle */
-        const bool near = fo_abs(wrap(r->theta - s->tracker.angle)) < STD_LIMIT;
-        e->valid = e->valid && near && !s->map_point.outside;
-    }
-#endif
+    set_reason(e, judge(o, s, r));
 }
 
 /* Makes the estimate after a sample with the volt-seconds v. */
@@ -928,7 +949,9 @@ static void process_sample(const fo_observer *o, fo_state *s, const fo_real sour
         restart(s);
     }
     finish_estimate(o, s, t.v, e);
-    e->valid = e->valid && !bad;
+    if (e->valid && bad) {
+        set_reason(e, FO_BAD_SAMPLE);
+    }
 }
 
 #if FO_HELD

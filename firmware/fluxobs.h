@@ -192,9 +192,26 @@ typedef struct {
     NUMBER(innovation)      /* innovation of this sample / assumed noise                       */ \
     NUMBER(noise_share)     /* share of noise in the flux information; 1: no position */
 
+/* Why a position is not valid: the first reason that applies. Name and word. */
+#define FO_REASONS(X)                                                                            \
+    X(FO_VALID, "valid")              /* the position is valid                                */ \
+    X(FO_NO_DATA, "no data")          /* no current or no voltage since the last restart      */ \
+    X(FO_SEARCHING, "searching")      /* the angle is not known yet                           */ \
+    X(FO_SETTLING, "settling")        /* the tracker has not settled on the angle yet         */ \
+    X(FO_SLOW, "slow")                /* voltage errors may be as large as the EMF            */ \
+    X(FO_UNCERTAIN, "uncertain")      /* the std of the angle is too large                    */ \
+    X(FO_CONTRADICTED, "contradicted") /* the innovations contradict the model                */ \
+    X(FO_UNCONFIRMED, "unconfirmed")  /* certain, but for less than half a turn yet           */ \
+    X(FO_OUTSIDE_MAP, "outside map")  /* the current is outside the flux map                  */ \
+    X(FO_BAD_SAMPLE, "bad sample")    /* this sample is missing, absurd or an outlier */
+
+#define FO_REASON_NAME(name, word) name,
+typedef enum { FO_REASONS(FO_REASON_NAME) FO_REASON_COUNT } fo_reason;
+
 typedef struct {
     FO_ESTIMATE_FIELDS(FO_VECTOR_FIELD, FO_NUMBER_FIELD)
     bool valid;
+    fo_reason valid_reason; /* FO_VALID if `valid` */
 } fo_estimate;
 
 typedef enum {

@@ -28,9 +28,15 @@ static const fo_real VOLTAGE_TURN = (fo_real)0.05;
 static const fo_real STD_LOST = PI / (fo_real)6;
 /* Std of a valid angle, including errors of inductance and lag [rad]: 10 degrees. */
 static const fo_real STD_ALL = PI / (fo_real)18;
-/* Rows of the filter before its position may be valid, and before its std may stop it [1]. */
+/* Rows of the filter before its position may be valid [1]: half a turn. */
 static const fo_real PROVEN_AFTER = (fo_real)4;
-static const fo_real LOST_AFTER = (fo_real)2;
+/* Rows of the filter before its std may stop it [1]: two turns. A start at a std of 20 degrees
+ * weighs its first rows little, because the relation is not linear over 20 degrees. */
+static const fo_real LOST_AFTER = (fo_real)16;
+/* Samples in a row without a certain position after which the position must be confirmed again. */
+static const uint32_t UNCERTAIN_AFTER = (uint32_t)FO_MAX_CONSECUTIVE_BAD;
+/* A position is not valid if the power of its innovations exceeds this limit [1]: three stds. */
+static const fo_real CONTRADICTION = (fo_real)9;
 /* If the filter loses the position within this many rows (two turns), its parameters are reset
  * [1]. */
 static const fo_real EARLY_ROWS = (fo_real)16;
@@ -41,6 +47,7 @@ static const fo_real PARAMETER_STDS_MAX = (fo_real)4;
 /* The filter is wrong if its angle differs from the guard's by 20 degrees for a turn [rad, rad]. */
 static const fo_real DISAGREEMENT = PI / (fo_real)9;
 static const fo_real DISAGREEMENT_TURN = TWO * PI;
+
 
 /* ---- configuration -------------------------------------------------------------------- */
 
@@ -68,6 +75,10 @@ static void prepare_adaptive(fo_adaptive *a, const fo_config *config, const fo_a
     a->over_current[1] = ONE / (SOFT * c->inverter_current);
     a->over_rated = ONE / (RATED * c->inverter_current);
     a->lag_std = c->lag_std;
+    a->delay_std = c->delay_std;
+    a->current_gain_std = c->current_gain_std;
+    a->iron_flux = config->L_position * c->iron_current_std / psi;
+    a->magnet_error = c->harmonic_std * a->psi;
     a->through_L = through_L * through_L;
     a->unmodelled = UNMODELLED * a->plain.drift_prior_std;
     a->slow = config->memory / c->slow_memory;
@@ -83,6 +94,10 @@ static field_error check_adaptive(const fo_adaptive *a, const fo_adaptive_config
     demand_size(&error, a->through_L, ZERO, million, "saliency");
     demand_size(&error, c->slow_memory, ZERO, high, "slow_memory");
     demand_size(&error, c->lag_std, ZERO, high, "lag_std");
+    demand_size(&error, c->delay_std, ZERO, high, "delay_std");
+    demand_size(&error, a->current_gain_std, ZERO, high, "current_gain_std");
+    demand_size(&error, a->iron_flux, ZERO, high, "iron_current_std");
+    demand_size(&error, a->magnet_error, ZERO, high, "harmonic_std");
     demand_size(&error, c->inverter_voltage, ZERO, high, "inverter_voltage");
     demand_size(&error, a->psi, ZERO, (fo_real)1e3, "psi_f");
     demand_size(&error, a->std[FO_PSI], ZERO, high, "psi_f_std");
@@ -220,13 +235,13 @@ static void predicted_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_
     (void)memset(s->sign_gradient, 0, sizeof s->sign_gradient);
     for (int n = 0; n < 2; n++) {
         const fo_real volts = inverter_loss_part(a, s, n);
-        const fo_real softness =
-            soft_signs(without_offset, a->over_current[n], volts, s->signs[n], s->sign_gradient);
-        s->knee = n == 0 ? softness : s->knee;
+        (void)soft_signs(without_offset, a->over_current[n], volts, s->signs[n], s->sign_gradient);
         for (int i = 0; i < FO_N; i++) {
             loss[i] += volts * s->signs[n][i];
         }
     }
+    const fo_real apart[FO_N] = {s->signs[0][0] - s->signs[1][0], s->signs[0][1] - s->signs[1][1]};
+    s->knee = fo_sqrt(dot(apart, apart));
 }
 
 /* u + g conj(u) */
@@ -314,9 +329,28 @@ static void write_parameters(const fo_adaptive *a, const fo_adaptive_state *s,
     e->inverter_std = s->reported_std[2];
 }
 
+/* Why the filter's position is not valid. `all` is the variance of its angle, `variance` the part
+ * that measurements reduce. */
+static fo_reason judge_filter(const fo_adaptive_state *s, fo_real variance, fo_real all)
+{
+    fo_reason reason = FO_VALID;
+    if (!(s->tracker.settled >= TRACKER_SETTLED)) {
+        reason = FO_SETTLING;
+    } else if (!(s->emf_ratio < EMF_RATIO_LIMIT)) {
+        reason = FO_SLOW;
+    } else if (!(s->innovation_power < CONTRADICTION)) {
+        reason = FO_CONTRADICTED;
+    } else if (!(variance < STD_LIMIT * STD_LIMIT && all < STD_ALL * STD_ALL)) {
+        reason = FO_UNCERTAIN;
+    } else {
+        /* valid */
+    }
+    return reason;
+}
+
 /* Writes the filter's estimate, with this length of the position vector and this variance of the
- * angle. `fixed` is the variance due to errors that measurements do not reduce: of L_q, of the lag,
- * of a cage's ripple. */
+ * angle. `fixed` is the variance due to errors that measurements do not reduce: of L_q and of the
+ * considered parameters. */
 static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length,
                    fo_real variance, fo_real fixed, fo_adaptive_estimate *e)
 {
@@ -331,12 +365,9 @@ static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state 
     q->theta_e = s->theta;
     q->theta_e_tracked = s->tracker.angle;
     q->speed_e = s->tracker.speed;
-    /* the turn by an unmodelled voltage is a bound: its std is sqrt(3) smaller */
-    q->theta_e_std = capped_std(all - TWO / (fo_real)3 * s->voltage_turn * s->voltage_turn);
+    q->theta_e_std = capped_std(all);
     q->noise_share = ZERO;
-    q->valid = s->rows > PROVEN_AFTER && s->tracker.settled >= TRACKER_SETTLED &&
-               s->emf_ratio < EMF_RATIO_LIMIT && variance < STD_LIMIT * STD_LIMIT &&
-               all < STD_ALL * STD_ALL;
+    set_reason(q, judge_filter(s, variance, all));
     e->psi_f = (a->psi + fo_learning_value(a, s, FO_PSI)) * o->flux_base;
 #if FO_MAPPED
     if (has_cage_map(o)) {
@@ -369,7 +400,23 @@ static void use_plain_estimate(const fo_adaptive_state *s, const fo_estimate *pl
     *q = *plain;
     q->theta_e_std =
         capped_std(plain->theta_e_std * plain->theta_e_std + s->emf_ratio * s->emf_ratio);
-    q->valid = plain->valid && q->theta_e_std < STD_LIMIT;
+    if (q->valid && !(q->theta_e_std < STD_LIMIT)) {
+        set_reason(q, FO_UNCERTAIN);
+    }
+}
+
+/* Variance of the angle due to considered parameters that leave no residual at constant speed and
+ * load: lags of voltages and currents, unequal gains of the current sensors, iron loss, harmonics
+ * of the magnet flux. `square` is that of the position vector. */
+static fo_real considered_variance(const fo_adaptive *a, const fo_adaptive_state *s, fo_real square)
+{
+    const fo_observer *o = &a->plain;
+    const fo_real *current = s->plain.current[0];
+    const fo_real speed = s->tracker.speed, late = a->lag_std * speed, delay = a->delay_std * speed;
+    const fo_real armature = o->L_position * o->L_position * dot(current, current);
+    const fo_real fluxes = armature * (delay * delay + a->current_gain_std * a->current_gain_std) +
+                           a->iron_flux * a->iron_flux + a->magnet_error * a->magnet_error;
+    return late * late + fluxes / square + cage_ripple_variance(o, speed);
 }
 
 /* Writes the estimate after a step of the filter. Returns the variance of its angle without errors
@@ -385,12 +432,11 @@ static fo_real report_step(const fo_adaptive *a, fo_adaptive_state *s, fo_real l
     const fo_real noise = o->position_noise * s->plain.noise_inflation;
     const fo_real variance =
         (s->variance_across + fo_learning_variance_growth(s) + noise) / square +
-        s->voltage_turn * s->voltage_turn;
-    const fo_real late = a->lag_std * s->tracker.speed; /* no residual shows a lag */
+        s->voltage_turn * s->voltage_turn / (fo_real)3; /* the turn is a bound: a uniform error */
     settle_tracker(o, &s->tracker, s->theta, fo_sqrt(variance));
     write_filter_estimate(
         a, s, length, variance,
-        s->variance_by_L_q_now / square + late * late + cage_ripple_variance(o, s->tracker.speed),
+        s->variance_by_L_q_now / square + considered_variance(a, s, square),
         e);
     return variance;
 }
@@ -463,7 +509,7 @@ static void write_candidate(const fo_adaptive *a, const fo_adaptive_state *s,
         q->drift[i] = best->p[FO_N + i] * a->plain.drift_base;
     }
     q->psi_f = fo_sqrt(best->p[2 * FO_N]) * a->plain.flux_base;
-    q->valid = false;
+    set_reason(q, FO_SEARCHING);
 }
 
 /* Fits the candidates. Starts the filter at the best candidate once the choice is decided and the
@@ -530,6 +576,23 @@ static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_inter
     }
 }
 
+/* A position that has become certain is valid once the rotor has turned by half a turn: the length
+ * of the position vector shows a wrong flux within that rotation. A position that jumps must be
+ * confirmed again. */
+static void confirm(const fo_adaptive *a, fo_adaptive_state *s, fo_estimate *q)
+{
+    const bool certain = q->valid && follows(&s->tracker, q->theta_e, q->theta_e_std);
+    s->uncertain = certain ? 0U : s->uncertain + 1U;
+    if (s->uncertain > UNCERTAIN_AFTER) {
+        s->confirmed = ZERO;
+    } else {
+        s->confirmed += fo_abs(s->tracker.speed) * a->plain.sample_time;
+    }
+    if (q->valid && !(s->confirmed > SWEEP)) {
+        set_reason(q, FO_UNCONFIRMED);
+    }
+}
+
 /* ---- samples -------------------------------------------------------------------------- */
 
 typedef struct {
@@ -571,7 +634,10 @@ static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool compl
     if (!e->adapting || !s->running) { /* otherwise run_filter has written them */
         write_parameters(a, s, e);
     }
-    e->position.valid = e->position.valid && measured && now.voltages == before.voltages;
+    confirm(a, s, &e->position);
+    if (e->position.valid && !(measured && now.voltages == before.voltages)) {
+        set_reason(&e->position, FO_BAD_SAMPLE);
+    }
 }
 
 /* Chooses the angle at which the plain observer linearises the map. The filter's angle is used if

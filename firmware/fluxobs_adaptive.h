@@ -79,6 +79,10 @@ typedef enum {
     NUMBER(L_d_std)          /* std of the inductance along d, as a share of it [1]           */ \
     NUMBER(L_q_std)          /* std of the inductance along q, as a share of it [1]           */ \
     NUMBER(lag_std)          /* std of the delay of a voltage [s]                             */ \
+    NUMBER(delay_std)        /* std of the delay of a current [s]                             */ \
+    NUMBER(current_gain_std) /* std of a component of g in i' = i + g conj(i) [1]             */ \
+    NUMBER(iron_current_std) /* std of the current of the iron loss [A]                       */ \
+    NUMBER(harmonic_std)     /* std of the magnet flux's 5th and 7th harmonics, as a share [1] */ \
     NUMBER(psi_f)            /* magnet flux [Wb]; 0 without magnets                           */ \
     NUMBER(psi_f_std)        /* std of the magnet flux [Wb]; 0 without magnets                */ \
     NUMBER(resistance_std)   /* std of the resistance [Ohm]                                   */ \
@@ -106,6 +110,10 @@ typedef struct {
                            "[1/A]")                                                              \
     NUMBER(over_rated, "1 / current at which the rest of the loss is zero again [1/A]")          \
     NUMBER(lag_std, "std of the lag [s]")                                                        \
+    NUMBER(delay_std, "std of the delay of the currents [s]")                                    \
+    NUMBER(current_gain_std, "std of unequal gains of the current sensors")                      \
+    NUMBER(iron_flux, "armature flux of the iron loss")                                          \
+    NUMBER(magnet_error, "harmonics of the magnet flux")                                         \
     NUMBER(through_L, "variance of a residual from current noise")                               \
     NUMBER(unmodelled, "voltage error that is in no model")                                      \
     NUMBER(slow, "memory / slow memory")
@@ -184,11 +192,13 @@ typedef struct {
 #if FO_MAPPED
     fo_map_point map_point;              /* the map at the filter's own angle               */
 #endif
-    fo_real knee;                        /* softness of the harder signs now, 0 to 1        */
+    fo_real knee;                        /* difference between harder and softer signs now  */
     fo_real x[FO_N], theta;              /* direction of the position vector                */
     fo_real rotation;                    /* rotation since one candidate is likely, before the
                                           * filter runs [rad] */
     fo_real disagreement;                /* turn during which filter and guard differ [rad] */
+    fo_real confirmed;                   /* rotation since the position became certain [rad] */
+    uint32_t uncertain;                  /* samples in a row without a certain position     */
     fo_tracker tracker;
 } fo_adaptive_state;
 

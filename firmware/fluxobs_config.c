@@ -283,6 +283,10 @@ void fo_adaptive_choose(fo_adaptive_config *a, const fo_machine *m, fo_real samp
     a->L_d_std = usual.INDUCTANCE_SHARE;
     a->L_q_std = usual.INDUCTANCE_SHARE;
     a->lag_std = usual.LAG_STD * sample_time;
+    a->delay_std = usual.DELAY_STD * sample_time;
+    a->current_gain_std = usual.CURRENT_GAIN_STD;
+    a->iron_current_std = usual.IRON_SHARE * m->rated_current;
+    a->harmonic_std = usual.HARMONIC_STD;
     a->psi_f = psi;
     a->psi_f_std = usual.PSI_SHARE * psi;
     a->resistance_std = resistance ? usual.RESISTANCE_SHARE * m->R_s : ZERO;

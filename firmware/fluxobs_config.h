@@ -53,6 +53,10 @@ extern "C" {
     X(DC_LINK_SHARE, 0.02)   /* least std of the inverter's loss [DC link]                    */ \
     X(ASYMMETRY_STD, 0.01)   /* std of the asymmetry of the phases [1]                        */ \
     X(LAG_STD, 0.15)         /* std of the delay of a voltage [samples]                       */ \
+    X(DELAY_STD, 0.2)        /* std of the delay of a current [samples]                       */ \
+    X(CURRENT_GAIN_STD, 0.01) /* std of unequal gains of the current sensors [1]              */ \
+    X(IRON_SHARE, 0.01)      /* std of the current of the iron loss [rated current]           */ \
+    X(HARMONIC_STD, 0.015)   /* std of the 5th and 7th harmonics [magnet flux]                */ \
     X(SMOOTHING, 0.05)       /* a current's sign is smoothed below this [rated current]       */ \
     X(SLOW_MEMORY, 100.0)    /* time in which a parameter may change by one std [s] */
 

@@ -298,6 +298,12 @@ static inline bool is_never_reset(const fo_state *s) { return s->noise_inflation
 #define fo_damaged FO_NAME(fo_damaged)
 bool fo_damaged(const fo_observer *o, const fo_state *s);
 
+static inline void set_reason(fo_estimate *e, fo_reason reason)
+{
+    e->valid = reason == FO_VALID;
+    e->valid_reason = reason;
+}
+
 static inline void stop_tracker(fo_tracker *t, fo_real theta)
 {
     t->angle = theta;
@@ -345,13 +351,18 @@ static inline void track(const fo_observer *o, fo_tracker *t, fo_real theta)
     }
 }
 
+/* Is the tracker's error small for an angle with this std? */
+static inline bool follows(const fo_tracker *t, fo_real theta, fo_real std)
+{
+    return fo_abs(wrap(theta - t->angle)) < STD_LIMIT + (fo_real)3 * std;
+}
+
 /* Adds to the time for which the tracker's error was small. The tracker starts from rest, whatever
  * the speed. */
 static inline void settle_tracker(const fo_observer *o, fo_tracker *t, fo_real theta, fo_real std)
 {
     if (t->settled < TRACKER_SETTLED) { /* a settled tracker stays settled */
-        const bool follows = fo_abs(wrap(theta - t->angle)) < STD_LIMIT + (fo_real)3 * std;
-        t->settled += follows ? o->h : TRACKER_OFF * o->h;
+        t->settled += follows(t, theta, std) ? o->h : TRACKER_OFF * o->h;
     }
 }
 

@@ -14,11 +14,13 @@ static const fo_real BLOCK = PI / (fo_real)4;
 /* Time after which a block ends if the rotor is slow [memories]. The weight of its row is the share
  * of BLOCK that the rotor has turned. */
 static const fo_real BLOCK_MAX = (fo_real)0.3;
+/* Mean of the sixth harmonic over BLOCK, as a share of its amplitude [1]: sinc(3 BLOCK). */
+static const fo_real SIXTH = (fo_real)0.3;
 /* Std of a row due to model errors [flux bases]: no machine satisfies its relation better. */
 static const fo_real MODEL = (fo_real)0.002;
 /* Share of the inverter's voltage that the model of the loss does not describe [1]. */
 static const fo_real INVERTER_UNMODELLED = (fo_real)0.05;
-/* Additional share where a current is within the knee of the harder sign [1]. */
+/* Additional share of the difference between the two signs, which is largest within the knee [1]. */
 static const fo_real KNEE_UNMODELLED = (fo_real)0.3;
 /* Time in which half of the information on a drift is forgotten [memories]. */
 static const fo_real DRIFT_MEMORY = (fo_real)100;
@@ -691,8 +693,24 @@ static fo_real block_row(const fo_block *b, fo_real row[FO_NA])
     return -b->residual * over;
 }
 
+/* Variance of a row due to considered parameters, which no column of the row describes: harmonics
+ * of the magnet flux, unequal gains of the current sensors, lags of voltages and currents. All rows
+ * at one operating point have nearly the same error. `speed` is in radians per memory. */
+static fo_real systematic_variance(const fo_adaptive *a, const linearisation_point *point,
+                                   fo_real speed)
+{
+    const fo_observer *o = &a->plain;
+    const fo_real omega = speed * o->h / o->sample_time;
+    const fo_real late = omega * omega * (a->lag_std * a->lag_std + a->delay_std * a->delay_std);
+    const fo_real harmonics = SIXTH * a->magnet_error;
+    return harmonics * harmonics + dot(point->armature_flux, point->armature_flux) *
+                                       (late + a->current_gain_std * a->current_gain_std);
+}
+
 /* Measurement update by the block's row: first of flux and drift, then of the parameters. The
- * weight is the row's `share` of a full block. */
+ * weight is the row's `share` of a full block. The row is linear, but the length is not: an error e
+ * across the position vector x adds e^2 / (2 |x|). Its mean is subtracted, and its variance is part
+ * of the row's. */
 static void update_by_block(const fo_adaptive *a, fo_adaptive_state *s, fo_real turned,
                                fo_real share)
 {
@@ -701,8 +719,11 @@ static void update_by_block(const fo_adaptive *a, fo_adaptive_state *s, fo_real 
     linearisation_point point;
     fo_real row[FO_NA], before[FO_NP];
     fo_real innovation = block_row(b, row);
-    fo_real information =
-        share / (MODEL * MODEL + a->through_L * s->plain.noise_inflation * over);
+    linearise(a, s, &point);
+    const fo_real curvature = (s->variance_across + fo_learning_variance_growth(s)) / point.length;
+    innovation -= curvature / TWO; /* mean of the error's square */
+    fo_real information = share / (MODEL * MODEL + a->through_L * s->plain.noise_inflation * over +
+                                   curvature * curvature / TWO);
     fo_add_row_to(FO_NA, s->U, s->d, s->z, 0, FO_NF, row, &innovation, &information);
     const bool informative = information > ZERO;
     const bool outlier = informative && test_innovation(s, row, innovation, information, share);
@@ -718,7 +739,8 @@ static void update_by_block(const fo_adaptive *a, fo_adaptive_state *s, fo_real 
         before[j] = s->p[j];
     }
     if (informative && !outlier && !s->frozen && s->emf_ratio < EMF_RATIO_LIMIT && speed > ZERO) {
-        const fo_real weight = ONE / ((rows / information + shape * shape) * level);
+        const fo_real variance = ONE / information + systematic_variance(a, &point, speed);
+        const fo_real weight = ONE / ((rows * variance + shape * shape) * level);
         if (weight > ZERO) {
             update_parameters(a, s, row, innovation, weight);
             forget_parameters(a, s, b->time);

@@ -40,13 +40,20 @@ DC_LINK_SHARE: float = _core.usual["DC_LINK_SHARE"]
 OFFSET_SHARE: float = _core.usual["OFFSET_SHARE"]
 ASYMMETRY_STD: float = _core.usual["ASYMMETRY_STD"]
 LAG_STD: float = _core.usual["LAG_STD"]
+#: Of the considered parameters: delay of the currents [samples], unequal gains of the current
+#: sensors [1], current of the iron loss as a share of the rated current, harmonics [1].
+DELAY_STD: float = _core.usual["DELAY_STD"]
+CURRENT_GAIN_STD: float = _core.usual["CURRENT_GAIN_STD"]
+IRON_SHARE: float = _core.usual["IRON_SHARE"]
+HARMONIC_STD: float = _core.usual["HARMONIC_STD"]
 #: Largest standard deviation as a share of the resistance; a larger one must have a wrong unit.
 MAX_RESISTANCE_SHARE = 10.0
 #: Time in which a parameter may change by one standard deviation [s].
 SLOW_MEMORY: float = _core.usual["SLOW_MEMORY"]
 #: The numbers of fo_adaptive_config, named as in the C header.
 NUMBERS = (
-    *("saliency", "L_d_std", "L_q_std", "lag_std", "psi_f", "psi_f_std", "resistance_std"),
+    *("saliency", "L_d_std", "L_q_std", "lag_std", "delay_std", "current_gain_std"),
+    *("iron_current_std", "harmonic_std", "psi_f", "psi_f_std", "resistance_std"),
     *("inverter_voltage", "inverter_std", "inverter_current", "offset_std", "asymmetry_std"),
     "slow_memory",
 )
@@ -75,6 +82,15 @@ class Priors:
         As a share of each inductance [1]; default L_s_std, … of the machine file, otherwise 0.1.
     lag : float, optional
         Of the delay of the voltages [s]; default 0.15 samples.
+    delay : float, optional
+        Of the delay of the currents [s]; default 0.2 samples.
+    current_gain : float, optional
+        Of both components of g in i' = i + g conj(i), for unequal gains of the sensors [1];
+        default 0.01.
+    iron_current : float, optional
+        Of the current of the iron loss [A]; default 1 % of the rated current.
+    harmonics : float, optional
+        Of the 5th and 7th harmonics of the magnet flux, as shares of it [1]; default 0.015.
     """
 
     psi_f: float | None = None
@@ -84,6 +100,10 @@ class Priors:
     offset: float | None = None
     inductance: float | None = None
     lag: float | None = None
+    delay: float | None = None
+    current_gain: float | None = None
+    iron_current: float | None = None
+    harmonics: float | None = None
 
     def check(self, unknowns: tuple[str, ...], machine: RotatingMachine) -> None:
         """Raise ObserverError if a value belongs to no unknown, or an unknown does not exist."""
@@ -217,6 +237,16 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
     lag_std : float
         Standard deviation of the delay of the voltages [s]. An error of the delay leaves no
         residual; this standard deviation is part of the standard deviation of the position.
+    delay_std : float
+        Standard deviation of the delay of the currents [s]; like the next three, the standard
+        deviation of a considered parameter: it is not learnt, but it is part of the standard
+        deviation of the position, and reduces what a row tells about the other parameters.
+    current_gain_std : float
+        Of both components of g in i' = i + g conj(i), for unequal gains of the sensors [1].
+    iron_current_std : float
+        Of the current of the iron loss [A].
+    harmonic_std : float
+        Of the 5th and 7th harmonics of the magnet flux, as shares of it [1].
     slow_memory : float
         Time in which a parameter may change by one standard deviation [s].
     projection : {"start", "never"}
@@ -261,6 +291,10 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
     L_d_std: float = 0.0
     L_q_std: float = 0.0
     lag_std: float = 0.0
+    delay_std: float = 0.0
+    current_gain_std: float = 0.0
+    iron_current_std: float = 0.0
+    harmonic_std: float = 0.0
     slow_memory: float = SLOW_MEMORY
     projection: Projection = "start"
     _core: Any = field(init=False, repr=False, compare=False)
@@ -436,6 +470,10 @@ class AdaptiveObserver(CompiledObserver[AdaptiveEstimate]):
             L_d_std=L_d_std,
             L_q_std=L_q_std,
             lag_std=_first_given(priors.lag, LAG_STD * plain.sample_time),
+            delay_std=_first_given(priors.delay, DELAY_STD * plain.sample_time),
+            current_gain_std=_first_given(priors.current_gain, CURRENT_GAIN_STD),
+            iron_current_std=_first_given(priors.iron_current, IRON_SHARE * rated_current),
+            harmonic_std=_first_given(priors.harmonics, HARMONIC_STD),
             slow_memory=slow_memory,
             projection=projection,
         )
