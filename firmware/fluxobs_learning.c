@@ -702,9 +702,14 @@ static fo_real systematic_variance(const fo_adaptive *a, const linearisation_poi
     const fo_observer *o = &a->plain;
     const fo_real omega = speed * o->h / o->sample_time;
     const fo_real late = omega * omega * (a->lag_std * a->lag_std + a->delay_std * a->delay_std);
+    return dot(point->armature_flux, point->armature_flux) * late;
+}
+
+static fo_real oscillating_variance(const fo_adaptive *a, const linearisation_point *point)
+{
     const fo_real harmonics = SIXTH * a->magnet_error;
     return harmonics * harmonics + dot(point->armature_flux, point->armature_flux) *
-                                       (late + a->current_gain_std * a->current_gain_std);
+                                       (a->current_gain_std * a->current_gain_std);
 }
 
 /* Measurement update by the block's row: first of flux and drift, then of the parameters. The
@@ -740,7 +745,7 @@ static void update_by_block(const fo_adaptive *a, fo_adaptive_state *s, fo_real 
     }
     if (informative && !outlier && !s->frozen && s->emf_ratio < EMF_RATIO_LIMIT && speed > ZERO) {
         const fo_real variance = ONE / information + systematic_variance(a, &point, speed);
-        const fo_real weight = ONE / ((rows * variance + shape * shape) * level);
+        const fo_real weight = ONE / ((rows * variance + shape * shape + oscillating_variance(a, &point)) * level);
         if (weight > ZERO) {
             update_parameters(a, s, row, innovation, weight);
             forget_parameters(a, s, b->time);
