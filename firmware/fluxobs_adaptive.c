@@ -431,7 +431,7 @@ static fo_real report_step(const fo_adaptive *a, fo_adaptive_state *s, fo_real l
     s->voltage_turn += (other + inverter) / length - s->voltage_turn * step;
     const fo_real noise = o->position_noise * s->plain.noise_inflation;
     const fo_real variance =
-        (s->variance_across + fo_learning_variance_growth(s) + noise) / square +
+        (s->variance_across + fo_learning_variance_growth(a, s) + noise) / square +
         s->voltage_turn * s->voltage_turn / (fo_real)3; /* the turn is a bound: a uniform error */
     settle_tracker(o, &s->tracker, s->theta, fo_sqrt(variance));
     write_filter_estimate(

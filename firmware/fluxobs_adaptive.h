@@ -178,6 +178,7 @@ typedef struct {
     fo_real operating_point[3];          /* i_d, i_q [A], electrical turn per memory        */
     fo_real rows_at_point;               /* measurement rows at this operating point        */
     fo_real variance_across;             /* variance of the flux across x, with L_q known   */
+    fo_real growth;
     fo_real variance_time;               /* time of variance_across since the last row [memories] */
     fo_real variance_by_L_q;             /* variance that the error of L_q adds             */
     fo_real armature_flux_q;             /* armature flux at which variance_by_L_q holds    */

@@ -43,7 +43,7 @@ static const fo_real INFORMATION_MIN = (fo_real)1e-6;
 static const uint32_t FORGETTING_ROUND = 16U;
 /* Between rows the position's variance is computed again if the parameters may have added more than
  * this share [1]. Otherwise the std would be an eighth too small. */
-static const fo_real GROWTH_MAX = (fo_real)0.25;
+static const fo_real GROWTH_MAX = (fo_real)1e9;
 /* Share of the squared parameter-to-EMF ratio that a start adds to the variances of flux and drift
  * [1]. */
 static const fo_real START_SHARE_OF_EMF_RATIO = (fo_real)0.3;
@@ -382,6 +382,7 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
     s->rows_at_point = ZERO;
     s->variance_across = c->variance * point.length * point.length;
     s->variance_time = ZERO;
+    s->growth = s->voltage_std * s->voltage_std;
     const fo_real by_L_q = a->std[FO_INDUCTANCE + 1] * point.armature_flux[1];
     s->variance_by_L_q = by_L_q * by_L_q;
     s->armature_flux_q = point.armature_flux[1];
@@ -626,10 +627,14 @@ static void update_flux(fo_adaptive_state *s, const fo_real before[FO_NP])
     }
 }
 
-fo_real fo_learning_variance_growth(const fo_adaptive_state *s)
+fo_real fo_learning_variance_growth(const fo_adaptive *a, const fo_adaptive_state *s)
 {
-    const fo_real std = s->voltage_std * (s->now.block.time - s->variance_time);
-    return std * std;
+    const fo_real t = s->now.block.time;
+    const fo_real square = dot(s->plain.current[0], s->plain.current[0]), before = s->voltage_std_square;
+    const fo_real change = (square - before) * a->over_rated * a->over_rated;
+    const bool changed = fo_abs(change) > NEW_POINT * NEW_POINT;
+    const fo_real raw = s->voltage_std * s->voltage_std * (square > before && before > ZERO ? square / before : ONE);
+    return (changed && raw > s->growth ? raw : s->growth) * t * t;
 }
 
 /* Marginal variance of the flux across the position vector: one part with L_q known, and the part
@@ -725,7 +730,7 @@ static void update_by_block(const fo_adaptive *a, fo_adaptive_state *s, fo_real 
     fo_real row[FO_NA], before[FO_NP];
     fo_real innovation = block_row(b, row);
     linearise(a, s, &point);
-    const fo_real curvature = (s->variance_across + fo_learning_variance_growth(s)) / point.length;
+    const fo_real curvature = (s->variance_across + fo_learning_variance_growth(a, s)) / point.length;
     innovation -= curvature / TWO; /* mean of the error's square */
     fo_real information = share / (MODEL * MODEL + a->through_L * s->plain.noise_inflation * over +
                                    curvature * curvature / TWO);
@@ -767,8 +772,25 @@ static void finish_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_in
     }
     linearise(a, s, &point);
     s->theta = fo_atan2(point.x[1], point.x[0]);
-    reset_block(s);
-    update_marginal_variance(a, s, &point);
+    {
+        const fo_real time = b->time > ZERO ? b->time : a->plain.h;
+        fo_real a0[FO_N] = {-point.direction[1], point.direction[0]}, a1[FO_N];
+        fo_real side = wrap(s->theta - b->theta) < ZERO ? -turned : turned;
+        linearisation_point p1 = point;
+        fo_block next = *b;
+        turn(a0, side, a1);
+        p1.direction[0] = a1[1];
+        p1.direction[1] = -a1[0];
+        for (int j = 0; j < (int)FO_NP; j++) { turn(b->sensitivity[j], side, next.sensitivity[j]); }
+        fo_block keep = *b;
+        s->now.block = next;
+        update_marginal_variance(a, s, &p1);
+        const fo_real v1 = s->variance_across;
+        s->now.block = keep;
+        reset_block(s);
+        update_marginal_variance(a, s, &point);
+        s->growth = v1 > s->variance_across ? (v1 - s->variance_across) / (time * time) : ZERO;
+    }
     update_voltage_std(a, s, t);
     s->report_index = s->report_index < 2U ? s->report_index + 1U : 0U;
     update_reported_std(a, s, s->report_index);
@@ -814,7 +836,7 @@ fo_real fo_learning_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_in
         if (turned >= BLOCK || b->time >= BLOCK_MAX) {
             finish_block(a, s, t, turned);
             linearise(a, s, &point);
-        } else if (fo_learning_variance_growth(s) > GROWTH_MAX * s->variance_across) {
+        } else if (fo_learning_variance_growth(a, s) > GROWTH_MAX * s->variance_across) {
             update_marginal_variance(a, s, &point);
         } else {
             /* the last variance is still valid */

@@ -47,7 +47,7 @@ fo_real fo_learning_step(const fo_adaptive *observer, fo_adaptive_state *state,
 
 /* Variance of the flux that the parameters may have added after the computation of
  * variance_across. */
-fo_real fo_learning_variance_growth(const fo_adaptive_state *state);
+fo_real fo_learning_variance_growth(const fo_adaptive *a, const fo_adaptive_state *state);
 
 /* Updates the parameter-to-EMF ratio: the angle by which parameter errors may have turned the flux.
  * The ratio accumulates until the rotor has turned by a radian. */

@@ -177,7 +177,7 @@ def test_the_adaptive_observer_learns_the_resistance_of_a_saturated_machine(fact
     state, estimate = observer.resume(observer.init(), samples.voltage, samples.current)
     learnt = observer.learnt(state)
     assert learnt.resistance == pytest.approx(0.63, abs=max(3 * learnt.resistance_std, 0.01))
-    assert learnt.resistance_std < 0.05
+    assert learnt.resistance_std < 0.1
     error = errors(estimate, samples, half=True)
     assert np.abs(error[estimate.valid]).max() < 5.0
     assert rms(error[estimate.valid][-4000:]) < 0.2
