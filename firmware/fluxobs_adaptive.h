@@ -23,8 +23,16 @@ extern "C" {
 
 #define fo_adaptive_config FO_NAME(fo_adaptive_config)
 #define fo_adaptive FO_NAME(fo_adaptive)
-#define fo_candidate FO_NAME(fo_candidate)
 #define fo_block FO_NAME(fo_block)
+#define fo_sums FO_NAME(fo_sums)
+#define fo_candidate FO_NAME(fo_candidate)
+#define fo_search FO_NAME(fo_search)
+#define fo_block_end FO_NAME(fo_block_end)
+#define fo_search_data FO_NAME(fo_search_data)
+#define fo_learning_report FO_NAME(fo_learning_report)
+#define fo_answer FO_NAME(fo_answer)
+#define fo_mail FO_NAME(fo_mail)
+#define fo_learner FO_NAME(fo_learner)
 #define fo_adaptive_state FO_NAME(fo_adaptive_state)
 #define fo_adaptive_estimate FO_NAME(fo_adaptive_estimate)
 #define fo_learnt FO_NAME(fo_learnt)
@@ -35,34 +43,43 @@ extern "C" {
 #define fo_adaptive_step FO_NAME(fo_adaptive_step_asymmetric)
 #define fo_adaptive_step_volt_seconds FO_NAME(fo_adaptive_step_volt_seconds_asymmetric)
 #define fo_adaptive_step_for FO_NAME(fo_adaptive_step_for_asymmetric)
+#define fo_adaptive_fast_step FO_NAME(fo_adaptive_fast_step_asymmetric)
+#define fo_adaptive_fast_step_volt_seconds FO_NAME(fo_adaptive_fast_step_volt_seconds_asymmetric)
+#define fo_adaptive_fast_step_for FO_NAME(fo_adaptive_fast_step_for_asymmetric)
+#define fo_adaptive_learn FO_NAME(fo_adaptive_learn_asymmetric)
 #else
 #define fo_adaptive_reset FO_NAME(fo_adaptive_reset)
 #define fo_adaptive_step FO_NAME(fo_adaptive_step)
 #define fo_adaptive_step_volt_seconds FO_NAME(fo_adaptive_step_volt_seconds)
 #define fo_adaptive_step_for FO_NAME(fo_adaptive_step_for)
+#define fo_adaptive_fast_step FO_NAME(fo_adaptive_fast_step)
+#define fo_adaptive_fast_step_volt_seconds FO_NAME(fo_adaptive_fast_step_volt_seconds)
+#define fo_adaptive_fast_step_for FO_NAME(fo_adaptive_fast_step_for)
+#define fo_adaptive_learn FO_NAME(fo_adaptive_learn)
 #endif
 #define fo_adaptive_learnt FO_NAME(fo_adaptive_learnt)
 #define fo_adaptive_restart FO_NAME(fo_adaptive_restart)
 
 /* Order of the parameters. The inverter's loss is the sum of two parameters: one grows within small
- * currents, the other within larger currents. The last parameter, the difference between the true
- * loss and that sum, is never learnt. */
+ * currents, the other within larger currents. The parameters from the resistance to the asymmetry
+ * change the volt-seconds. */
 enum {
     FO_PSI,
     FO_RESISTANCE,
     FO_INVERTER,
     FO_OFFSET = FO_INVERTER + 2,
-    FO_INDUCTANCE = FO_OFFSET + 2,
-    FO_ASYMMETRY = FO_INDUCTANCE + 2,
+    FO_ASYMMETRY = FO_OFFSET + 2,
 #if FO_ASYMMETRIC
-    FO_CURVE = FO_ASYMMETRY + 2,
+    FO_INDUCTANCE = FO_ASYMMETRY + 2,
 #else
-    FO_CURVE = FO_ASYMMETRY,
+    FO_INDUCTANCE = FO_ASYMMETRY,
 #endif
-    FO_NP,                 /* number of parameters                                 */
+    FO_NP = FO_INDUCTANCE + 2,            /* number of parameters                              */
+    FO_NS = FO_INDUCTANCE - FO_RESISTANCE, /* number of parameters that change the volt-seconds */
     FO_NF = 2 * FO_N,      /* order of the fast filter: flux, drift                */
     FO_NA = FO_NF + FO_NP, /* order of the factor: fast filter, then parameters    */
     FO_NM = 2 * FO_N + 1,  /* manifold: flux, drift, square of the magnet flux     */
+    FO_NW = FO_N + 1,      /* weights of a block's rows: 1, gradient by the flux   */
     FO_CANDIDATES = 4      /* positions at the start of the fit                    */
 };
 
@@ -102,8 +119,7 @@ typedef struct {
 #define FO_ADAPTIVE_FIELDS(ARRAY, NUMBER)                                                        \
     NUMBER(saliency, "L_d - L_q, per ampere")                                                    \
     NUMBER(psi, "assumed magnet flux")                                                           \
-    ARRAY(std, FO_NP, "prior std: 1, ohm, volt, volt, ampere, ampere, 1, 1, 1, 1, volt per "     \
-                      "volt")                                                                    \
+    ARRAY(std, FO_NP, "prior std: 1, ohm, volt, volt, ampere, ampere, 1, 1, 1, 1")               \
     NUMBER(inverter_mean, "assumed loss of each part of the inverter [V]")                       \
     NUMBER(volt, "one volt over a sample")                                                       \
     ARRAY(over_current, 2, "1 / currents at which the parts of the inverter's loss saturate "    \
@@ -124,6 +140,32 @@ typedef struct {
     fo_projection projection;
 } fo_adaptive;
 
+/* ---- two tasks ------------------------------------------------------------------------------
+ * The interrupt integrates flux and position and sums the rows of a block. The learner, a function
+ * that a slower task may call, updates the information factor by a block, and fits the candidates
+ * at the start. They exchange one mail, which belongs to one of them at a time. */
+
+/* Since the learner's reference: the end of the last block that it received. */
+typedef struct {
+    uint32_t samples;
+    fo_real time;                         /* [memories]                                        */
+    fo_real turned;                       /* rotation [rad]                                    */
+    fo_real sensitivity[FO_NS][FO_N];     /* sensitivity of the flux to each parameter         */
+    fo_real unmodelled;                   /* integral of the voltage error outside the model   */
+    fo_real volt_seconds[FO_N];           /* before the filter runs                            */
+} fo_block;
+
+/* Sums over the samples of a block with a measured current. h is the gradient of the residual
+ * |x| - saliency i_d - psi_f by the flux, t the time. The weights w are 1, h_0, h_1: within more
+ * than a quarter of a turn they are different rows. */
+typedef struct {
+    uint32_t samples;
+    fo_real h[FO_N], hh[3];               /* h; h_0 h_0, h_0 h_1, h_1 h_1                      */
+    fo_real th[FO_N], thh[3];
+    fo_real residual[FO_NW];              /* w residual                                        */
+    fo_real by_parameter[FO_NP - 1][FO_NW]; /* w times the derivatives by parameters after psi */
+} fo_sums;
+
 /* A candidate: one hypothesis of flux and drift at the start. */
 typedef struct {
     fo_real p[FO_NM];        /* flux, drift, square of the magnet flux           */
@@ -134,73 +176,144 @@ typedef struct {
     uint32_t age;            /* steps since it was placed                        */
 } fo_candidate;
 
-/* Sums over the samples since the filter's last measurement row. */
 typedef struct {
-    uint32_t samples;
-    fo_real time;                     /* [memories]                                         */
-    fo_real theta;                    /* angle at its start [rad]                           */
-    fo_real sensitivity[FO_NP][FO_N]; /* sensitivity of the flux to each parameter          */
-    fo_real unmodelled;               /* integral of the voltage error outside the model    */
-    fo_real residual;                 /* sum of the residual |x| - saliency i_d - psi_f     */
-    fo_real by_flux[FO_N];            /* sum of the residual's derivatives by the flux      */
-    fo_real by_flux_time[FO_N];       /* sum of derivatives by the flux, times the time     */
-    fo_real by_parameter[FO_NP];      /* sum of the residual's derivatives by parameters    */
-} fo_block;
+    fo_candidate candidates[FO_CANDIDATES];
+    uint32_t next;           /* candidate of the next step                       */
+    uint32_t confirmations;  /* candidates that converged to the best candidate  */
+    int32_t best;            /* index of the best candidate                      */
+} fo_search;
 
-/* State of the adaptive observer: everything that changes. The state is plain data that may be
- * copied, stored and restored. */
+/* At the end of a block. */
 typedef struct {
-    fo_state plain;
-    bool running;                        /* the filter runs; else candidates are fitted     */
-    bool frozen;                         /* the parameters are not updated                  */
-    bool seeded;                         /* the plain observer integrates from a seed       */
-    uint32_t sample_index;
-    uint32_t restarts;                   /* restarts of the filter by its guard             */
-    union {                              /* `start` before the filter runs, then `block`    */
-        struct {
-            fo_candidate candidates[FO_CANDIDATES];
-            uint32_t confirmations;      /* candidates that converged to the best candidate */
-            int32_t best;                /* index of the best candidate                     */
-        } start;
-        fo_block block;
-    } now;
+    fo_real flux[FO_N];                   /* the filter's flux                                 */
+    fo_real current[FO_N];                /* [A]                                               */
+    fo_real mean_current[FO_N];           /* of the last interval [A]                          */
+    fo_real signs[2][FO_N];               /* soft signs of the phase currents, for the loss    */
+    fo_real noise_inflation;
+    fo_real emf_ratio;                    /* integral of voltage_std / EMF [rad]               */
+    fo_real speed;                        /* [rad/s]                                           */
+#if FO_MAPPED
+    fo_map_point map_point;
+#endif
+} fo_block_end;
+
+/* The plain observer before the filter runs. */
+typedef struct {
+    fo_information info;
+    fo_real power;
+    fo_real flux[FO_N], drift[FO_N];      /* its solution                                      */
+    fo_real armature_flux[FO_N];
+    fo_real direction[FO_N];              /* last known direction of the rotor                 */
+    fo_real rotation;                     /* rotation since one candidate is likely [rad]      */
+    bool trusted, settled;
+} fo_search_data;
+
+/* What the interrupt needs from the learner between two blocks. */
+typedef struct {
+    fo_real variance_across;              /* variance of the flux across x, with L_q known     */
+    fo_real growth;                       /* growth of variance_across per squared memory      */
+    fo_real variance_by_L_q;              /* variance that the error of L_q adds               */
+    fo_real armature_flux_q;              /* armature flux at which variance_by_L_q holds      */
+    fo_real reported_std[3];              /* stds of psi_f, resistance, inverter's loss        */
+    fo_real loss_size;                    /* estimate and std of the inverter's loss           */
+    fo_real voltage_std;                  /* std of the voltage due to the parameters          */
+    fo_real voltage_std_square;           /* squared current at which voltage_std holds [A^2]  */
+    fo_real drift_std;                    /* std of the drift / its prior std                  */
+    fo_real innovation_power;             /* power of the parameters' innovations / variance   */
+    fo_real rows;                         /* measurement rows since the start                  */
+} fo_learning_report;
+
+typedef enum {
+    FO_ANSWER_NONE,       /* no candidate has converged                                        */
+    FO_ANSWER_CANDIDATE,  /* flux and drift of the best candidate                              */
+    FO_ANSWER_START,      /* the filter starts with this flux and drift                        */
+    FO_ANSWER_CORRECTION  /* corrections of the filter's flux and drift                        */
+} fo_answer_kind;
+
+typedef struct {
+    fo_answer_kind kind;
+    fo_real flux[FO_N], drift[FO_N];      /* at the learner's reference                        */
+    fo_real change[FO_NP];                /* change of the parameters in prior stds            */
+    fo_real value[FO_NP];                 /* errors of the parameters [their units]            */
+    fo_real length;                       /* of a candidate's position vector                  */
+    fo_real variance;                     /* of a candidate's angle [rad^2]                    */
+    fo_real means[3];                     /* prior means to which `value` is relative          */
+    fo_real other_theta, other_weight;    /* second candidate; weight 1/2: not decided         */
+    bool other_direction;                 /* another candidate has become the best             */
+    bool wrong;                           /* the numbers have become implausible               */
+    fo_learning_report report;
+} fo_answer;
+
+typedef struct {
+    volatile uint32_t owner;              /* free, with the learner, or answered               */
+    bool searching;                       /* `data.search`, else `data.sums`                   */
+    bool place;                           /* place the candidates anew                         */
+    bool forget;                          /* reset the parameters to their prior               */
+    fo_block block;
+    fo_block_end end;
+    union {
+        fo_sums sums;
+        fo_search_data search;
+        fo_answer answer;
+    } data;
+} fo_mail;
+
+/* State that only the learner accesses. */
+typedef struct {
     /* Information factor. Flux and drift are relative to their estimates. Parameters are relative
      * to their prior mean, in units of their prior std. */
     fo_real U[FO_PACKED(FO_NA)], d[FO_NA], z[FO_NA];
-    fo_real flux[FO_N], drift[FO_N], p[FO_NP]; /* the estimates                             */
+    fo_real p[FO_NP];                    /* the estimates                                   */
+    fo_real means[3];                    /* prior means to which they are relative          */
+    bool frozen;                         /* the parameters are not updated                  */
     uint32_t reinject_index;             /* parameter whose prior is re-injected next       */
     uint32_t report_index;               /* index of the std that is updated next           */
     fo_real forgotten;                   /* share of the information forgotten in this round */
     fo_real forgotten_before;            /* share of the information forgotten in the last round */
     fo_real noise_level;                 /* power of the filter's innovations / assumed power */
-    fo_real rows;                        /* measurement rows since the start                */
-    fo_real innovation_power;            /* power of the parameters' innovations / their variance */
     fo_real operating_point[3];          /* i_d, i_q [A], electrical turn per memory        */
     fo_real rows_at_point;               /* measurement rows at this operating point        */
-    fo_real variance_across;             /* variance of the flux across x, with L_q known   */
-    fo_real growth;
-    fo_real variance_time;               /* time of variance_across since the last row [memories] */
-    fo_real variance_by_L_q;             /* variance that the error of L_q adds             */
-    fo_real armature_flux_q;             /* armature flux at which variance_by_L_q holds    */
-    fo_real variance_by_L_q_now;         /* variance_by_L_q at the present armature flux    */
-    fo_real reported_std[3];             /* stds of psi_f, resistance, inverter's loss      */
-    fo_real voltage_std;                 /* std of the voltage due to the parameters        */
-    fo_real voltage_std_square;          /* squared current at which voltage_std holds [A^2] */
+    fo_learning_report report;
+} fo_learner;
+
+/* State of the adaptive observer: everything that changes. The state is plain data that may be
+ * copied, stored and restored between two calls. Only the interrupt accesses the fields up to the
+ * mail. */
+typedef struct {
+    fo_state plain;
+    bool running;                        /* the filter runs; else candidates are fitted     */
+    bool has_candidate;                  /* flux and drift are those of a candidate         */
+    bool seeded;                         /* the plain observer integrates from a seed       */
+    bool discard;                        /* the learner's next answer is too late           */
+    bool place, forget;                  /* for the next mail                               */
+    uint32_t sample_index;
+    uint32_t restarts;                   /* restarts of the filter by its guard             */
+    fo_real flux[FO_N], drift[FO_N];     /* the filter's estimates                          */
+    fo_real value[FO_NP];                /* errors of the parameters [their units]          */
+    fo_real x[FO_N], theta;              /* direction of the position vector                */
+    fo_tracker tracker;
     fo_real emf_ratio;                   /* integral of voltage_std / EMF [rad]             */
     fo_real voltage_turn;                /* turn of the flux by unmodelled voltages [rad]   */
     fo_real signs[2][FO_N];              /* soft signs of the phase currents, for the loss  */
     fo_real sign_gradient[3];            /* derivative of the signs by the current          */
-#if FO_MAPPED
-    fo_map_point map_point;              /* the map at the filter's own angle               */
-#endif
     fo_real knee;                        /* difference between harder and softer signs now  */
-    fo_real x[FO_N], theta;              /* direction of the position vector                */
-    fo_real rotation;                    /* rotation since one candidate is likely, before the
-                                          * filter runs [rad] */
+    fo_real rotation;                    /* rotation since one candidate is likely [rad]    */
     fo_real disagreement;                /* turn during which filter and guard differ [rad] */
     fo_real confirmed;                   /* rotation since the position became certain [rad] */
     uint32_t uncertain;                  /* samples in a row without a certain position     */
-    fo_tracker tracker;
+    fo_real length, variance;            /* of the best candidate                           */
+    fo_real other_theta, other_weight;   /* second candidate                                */
+    fo_learning_report report;           /* the learner's last report                       */
+    fo_block block;
+    union {
+        fo_sums sums;                    /* while the filter runs: for the interrupt        */
+        fo_search search;                /* before: for the learner                         */
+    } now;
+#if FO_MAPPED
+    fo_map_point map_point;              /* the map at the filter's own angle               */
+#endif
+    fo_mail mail;
+    fo_learner learner;
 } fo_adaptive_state;
 
 typedef struct {
@@ -245,6 +358,7 @@ void fo_adaptive_reset(const fo_adaptive *observer, fo_adaptive_state *state);
  * values do not change any more. */
 void fo_adaptive_restart(const fo_adaptive *observer, fo_adaptive_state *state, bool frozen);
 
+/* Processes one sample, with all its work in this call: a fast step, then fo_adaptive_learn. */
 void fo_adaptive_step(const fo_adaptive *observer, fo_adaptive_state *state,
                       const fo_real voltage[FO_N], const fo_real current[FO_N],
                       fo_adaptive_estimate *estimate);
@@ -254,6 +368,24 @@ void fo_adaptive_step_volt_seconds(const fo_adaptive *observer, fo_adaptive_stat
 void fo_adaptive_step_for(const fo_adaptive *observer, fo_adaptive_state *state, fo_real duration,
                           const fo_real voltage[FO_N], const fo_real current[FO_N],
                           fo_adaptive_estimate *estimate);
+
+/* In two tasks: the interrupt calls a fast step for each sample, and a slower task of lower priority
+ * calls fo_adaptive_learn at 200 Hz or more. The interrupt may preempt the task at any instruction,
+ * and the task may be late: a block lasts until the learner has received it. Returns whether there
+ * was work. */
+void fo_adaptive_fast_step(const fo_adaptive *observer, fo_adaptive_state *state,
+                           const fo_real voltage[FO_N], const fo_real current[FO_N],
+                           fo_adaptive_estimate *estimate);
+void fo_adaptive_fast_step_volt_seconds(const fo_adaptive *observer, fo_adaptive_state *state,
+                                        const fo_real volt_seconds[FO_N],
+                                        const fo_real current[FO_N],
+                                        fo_adaptive_estimate *estimate);
+void fo_adaptive_fast_step_for(const fo_adaptive *observer, fo_adaptive_state *state,
+                               fo_real duration, const fo_real voltage[FO_N],
+                               const fo_real current[FO_N], fo_adaptive_estimate *estimate);
+bool fo_adaptive_learn(const fo_adaptive *observer, fo_adaptive_state *state);
+
+/* Writes the learnt values. Not while fo_adaptive_learn runs. */
 void fo_adaptive_learnt(const fo_adaptive *observer, const fo_adaptive_state *state,
                         fo_learnt *learnt);
 

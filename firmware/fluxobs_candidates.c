@@ -2,6 +2,7 @@
 #include "fluxobs_candidates.h"
 
 #include "fluxobs_internal.h"
+#include "fluxobs_learning.h"
 
 #include <string.h>
 
@@ -40,6 +41,8 @@ static const fo_real FLUCTUATION = (fo_real)4;
 static const fo_real QUICK_START = (fo_real)0.2;
 /* Upper bound of the parameter-to-EMF ratio [1]: above a half the EMF determines no angle. */
 static const fo_real EMF_RATIO_MAX = (fo_real)0.5;
+/* Largest std of the angle of the plain observer's solution from which the filter starts [rad]. */
+static const fo_real START_STD_FROM_PLAIN = PI / (fo_real)6;
 /* Smallest square of a magnet flux [flux bases]: the flux is a fifth of the assumed one. A shorter
  * vector has no direction (tests). */
 static const fo_real SQUARE_MIN = (fo_real)0.04;
@@ -48,15 +51,15 @@ static const fo_real SQUARE_MIN = (fo_real)0.04;
 static const fo_real LENGTH_SQUARE_MIN = (fo_real)1e-4;
 
 /* Position vector of a candidate. */
-static void candidate_position(const fo_adaptive *a, const fo_adaptive_state *s,
-                               const fo_candidate *c, fo_real x[FO_N]) {
+static void candidate_position(const fo_mail *m, const fo_candidate *c, fo_real x[FO_N])
+{
     for (int i = 0; i < FO_N; i++) {
-        x[i] = c->p[M_FLUX + i] - armature_flux(&a->plain, &s->plain, i);
+        x[i] = c->p[M_FLUX + i] - m->data.search.armature_flux[i];
     }
 }
 
 /* Present estimate of the magnet flux; 0 without magnets. */
-static fo_real magnet_flux(const fo_adaptive *a, const fo_adaptive_state *s)
+static fo_real magnet_flux(const fo_adaptive *a, const fo_learner *s)
 {
     return a->psi > ZERO ? a->psi + a->std[FO_PSI] * s->p[FO_PSI] : ZERO;
 }
@@ -69,52 +72,56 @@ static bool same_direction(const fo_real x[FO_N], const fo_real y[FO_N])
 }
 
 /* Places a candidate in the direction of x. */
-static void place_candidate(const fo_adaptive *a, const fo_adaptive_state *s, const fo_real x[FO_N],
-                fo_candidate *c)
+static void place_candidate(const fo_adaptive *a, const fo_learner *s, const fo_mail *m,
+                            const fo_real x[FO_N], fo_candidate *c)
 {
     const fo_real psi = magnet_flux(a, s);
     const fo_real length = fo_sqrt(dot(x, x)), distance = psi > ZERO ? psi : ONE;
     (void)memset(c, 0, sizeof *c);
     for (int i = 0; i < FO_N; i++) {
         const fo_real along = length > ZERO ? x[i] / length : i == 0 ? ONE : ZERO;
-        c->p[M_FLUX + i] = distance * along + armature_flux(&a->plain, &s->plain, i);
+        c->p[M_FLUX + i] = distance * along + m->data.search.armature_flux[i];
     }
     c->p[M_SQUARE] = psi * psi;
     c->theta = fo_atan2(x[1], x[0]);
     c->variance = VARIANCE_UNKNOWN;
 }
 
-void fo_candidates_place(const fo_adaptive *a, fo_adaptive_state *s)
+/* Places candidates a quarter of a turn apart. The first candidate is at the last known
+ * position. */
+static void place_candidates(const fo_adaptive *a, const fo_learner *s, const fo_mail *m,
+                             fo_search *search)
 {
-    fo_real x[FO_N] = {s->x[0], s->x[1]};
-    if (s->plain.trusted) {
+    const fo_search_data *data = &m->data.search;
+    fo_real x[FO_N] = {data->direction[0], data->direction[1]};
+    if (data->trusted) {
         for (int i = 0; i < FO_N; i++) {
-            x[i] = s->plain.x[FLUX + i] - armature_flux(&a->plain, &s->plain, i);
+            x[i] = data->flux[i] - data->armature_flux[i];
         }
     }
     for (int k = 0; k < FO_CANDIDATES; k++) { /* a quarter of a turn apart */
         const fo_real before = x[0];
-        place_candidate(a, s, x, &s->now.start.candidates[k]);
+        place_candidate(a, s, m, x, &search->candidates[k]);
         x[0] = -x[1];
         x[1] = before;
     }
-    s->running = false;
-    s->now.start.confirmations = 0U;
-    s->now.start.best = 0;
+    search->next = 0U;
+    search->confirmations = 0U;
+    search->best = 0;
 }
 
 /* Parameter-to-EMF ratio, bounded. */
-static fo_real limited_emf_ratio(const fo_adaptive_state *s)
+static fo_real limited_emf_ratio(const fo_mail *m)
 {
-    return s->emf_ratio < EMF_RATIO_MAX ? s->emf_ratio : EMF_RATIO_MAX;
+    return m->end.emf_ratio < EMF_RATIO_MAX ? m->end.emf_ratio : EMF_RATIO_MAX;
 }
 
 /* Sets the information to damping and the prior of the magnet flux. Through the parameter-to-EMF
  * ratio, the prior's variance includes the variance of resistance and inverter. */
-static void set_prior(const fo_adaptive *a, const fo_adaptive_state *s, const fo_candidate *c,
-                  fo_manifold *m)
+static void set_prior(const fo_adaptive *a, const fo_learner *s, const fo_mail *mail,
+                      const fo_candidate *c, fo_manifold *m)
 {
-    const fo_real psi = magnet_flux(a, s), square = psi * psi, ratio = limited_emf_ratio(s);
+    const fo_real psi = magnet_flux(a, s), square = psi * psi, ratio = limited_emf_ratio(mail);
     const fo_real variance =
         (fo_real)4 * square * (a->std[FO_PSI] * a->std[FO_PSI] + ratio * ratio * square);
     (void)memset(m, 0, sizeof *m);
@@ -125,11 +132,12 @@ static void set_prior(const fo_adaptive *a, const fo_adaptive_state *s, const fo
     m->z[M_SQUARE] = square - c->p[M_SQUARE];
 }
 
-void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_candidate *c,
-                          fo_manifold *m) {
-    const fo_information *info = &s->plain.info;
+void fo_gauss_newton_step(const fo_adaptive *a, const fo_learner *s, const fo_mail *mail,
+                          fo_candidate *c, fo_manifold *m)
+{
+    const fo_information *info = &mail->data.search.info;
     fo_real x_before[FO_N];
-    candidate_position(a, s, c, x_before);
+    candidate_position(mail, c, x_before);
     const fo_real *flux = &c->p[M_FLUX], *drift = &c->p[M_DRIFT], *u = info->U;
     fo_real row_x[FO_NX], immersed[FO_NX], x[FO_N], row[FO_NM], predicted = ZERO;
 
@@ -141,7 +149,7 @@ void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_c
         immersed[FLUX + i] = flux[i];
         immersed[DRIFT + i] = drift[i];
     }
-    set_prior(a, s, c, m);
+    set_prior(a, s, mail, c, m);
     fo_real cost = m->d[M_SQUARE] * m->z[M_SQUARE] * m->z[M_SQUARE];
     (void)memset(row_x, 0, sizeof row_x);
     for (int j = 0; j < FO_NX; j++) { /* U_j (x - x(p)), and its gradient by p */
@@ -184,7 +192,7 @@ void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_c
     const fo_real lowest = a->psi > ZERO ? SQUARE_MIN : ZERO;
     c->p[M_SQUARE] = c->p[M_SQUARE] > lowest ? c->p[M_SQUARE] : lowest;
     c->predicted_cost = predicted - noise * c->p[M_SQUARE];
-    candidate_position(a, s, c, x);
+    candidate_position(mail, c, x);
     /* after a jump the candidate must converge again */
     c->age = same_direction(x, x_before) ? c->age + 1U : 0U;
     const fo_real square = dot(x, x),
@@ -196,19 +204,20 @@ void fo_gauss_newton_step(const fo_adaptive *a, const fo_adaptive_state *s, fo_c
         c->variance /= square * square;
         c->variance = c->variance < VARIANCE_UNKNOWN ? c->variance : VARIANCE_UNKNOWN;
     } else { /* diverged, or NaN */
-        const fo_real across[FO_N] = {-s->x[1], s->x[0]};
-        place_candidate(a, s, across, c);
+        const fo_real *along = mail->data.search.direction;
+        const fo_real across[FO_N] = {-along[1], along[0]};
+        place_candidate(a, s, mail, across, c);
     }
 }
 
 /* Index of the converged candidate with the smallest cost, or -1. */
-static int best_candidate(const fo_adaptive_state *s)
+static int best_candidate(const fo_search *search)
 {
     int best = -1;
     for (int k = 0; k < FO_CANDIDATES; k++) {
-        const fo_candidate *c = &s->now.start.candidates[k];
+        const fo_candidate *c = &search->candidates[k];
         if (c->age >= CONVERGED_AFTER &&
-            (best < 0 || c->cost < s->now.start.candidates[best].cost)) {
+            (best < 0 || c->cost < search->candidates[best].cost)) {
             best = k;
         }
     }
@@ -217,26 +226,27 @@ static int best_candidate(const fo_adaptive_state *s)
 
 /* Index of the next best converged candidate in another direction, or -1. Candidates in the same
  * direction as the best are placed elsewhere. */
-static int second_candidate(const fo_adaptive *a, fo_adaptive_state *s, int best)
+static int second_candidate(const fo_adaptive *a, const fo_learner *s, const fo_mail *m,
+                            fo_search *search, int best)
 {
     int second = -1;
     for (int k = 0; k < FO_CANDIDATES; k++) {
-        const fo_candidate *c = &s->now.start.candidates[k];
+        const fo_candidate *c = &search->candidates[k];
         if (k != best && c->age >= CONVERGED_AFTER) {
             fo_real x[FO_N], y[FO_N];
-            candidate_position(a, s, &s->now.start.candidates[best], x);
-            candidate_position(a, s, c, y);
+            candidate_position(m, &search->candidates[best], x);
+            candidate_position(m, c, y);
             if (same_direction(x, y)) {
-                for (uint32_t quarters = 1U + s->now.start.confirmations % 3U; quarters > 0U;
+                for (uint32_t quarters = 1U + search->confirmations % 3U; quarters > 0U;
                      quarters--) {
                     const fo_real before = x[0];
                     x[0] = -x[1];
                     x[1] = before;
                 }
-                place_candidate(a, s, x, &s->now.start.candidates[k]);
-                s->now.start.confirmations++;
+                place_candidate(a, s, m, x, &search->candidates[k]);
+                search->confirmations++;
             } else if (second < 0 ||
-                       c->predicted_cost < s->now.start.candidates[second].predicted_cost) {
+                       c->predicted_cost < search->candidates[second].predicted_cost) {
                 second = k;
             } else {
                 /* this candidate is worse than the second */
@@ -255,72 +265,158 @@ static fo_real exp_of_minus(fo_real x)
 
 /* Likelihood ratio of the second candidate to the best. The best candidate's position vector has
  * this square. */
-static fo_real likelihood_ratio(const fo_adaptive *a, const fo_adaptive_state *s,
+static fo_real likelihood_ratio(const fo_adaptive *a, const fo_mail *m,
                                 const fo_candidate *best, const fo_candidate *second,
                                 fo_real square, fo_real inflation) {
-    const fo_real noise = TWO * a->plain.noise_information * s->plain.info.noise[0];
+    const fo_real noise = TWO * a->plain.noise_information * m->data.search.info.noise[0];
     const fo_real chance = FLUCTUATION * fo_sqrt(noise) * square;
     const fo_real x = (second->predicted_cost - best->cost - chance) / (TWO * inflation);
     return exp_of_minus(x > ZERO ? x : ZERO);
 }
 
-void fo_candidates_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
-                        fo_choice *choice)
-{
-    const uint32_t round = s->sample_index % (uint32_t)FO_CANDIDATES;
-    const int stepped = (int)round;
-    for (int k = 0; k < FO_CANDIDATES; k++) {
-        fo_real *p = s->now.start.candidates[k].p;
-        for (int i = 0; i < FO_N; i++) {
-            p[M_FLUX + i] += v[i] + a->plain.h * p[M_DRIFT + i];
-        }
-    }
-    fo_gauss_newton_step(a, s, &s->now.start.candidates[stepped], &choice->information);
+/* The best candidate after a step. */
+typedef struct {
+    fo_candidate best;
+    bool has_best;          /* false: no candidate has converged   */
+    bool decided;           /* the filter may start from the best  */
+    fo_real inflation;      /* inflation of its covariance         */
+    fo_real second_theta, second_weight; /* second best: angle [rad], weight 0 to 1/2 */
+} choice;
 
-    const int best = best_candidate(s);
-    choice->has_best = best >= 0;
-    choice->decided = false;
-    choice->second_weight = ONE / TWO;
-    if (choice->has_best) {
-        fo_candidate *c = &s->now.start.candidates[best];
-        const fo_real power = s->plain.power;
-        const fo_real inflation = power > ONE ? power : ONE;
+/* Compares the candidates after the step of candidate `stepped`. */
+static void choose(const fo_adaptive *a, const fo_learner *s, const fo_mail *m, fo_search *search,
+                   int stepped, choice *c, bool *other_direction)
+{
+    const fo_search_data *data = &m->data.search;
+    const int best = best_candidate(search);
+    c->has_best = best >= 0;
+    c->decided = false;
+    c->second_weight = ONE / TWO;
+    if (c->has_best) {
+        fo_candidate *first = &search->candidates[best];
+        const fo_real inflation = data->power > ONE ? data->power : ONE;
         fo_real x[FO_N], other = ZERO;
-        candidate_position(a, s, c, x);
-        if (s->now.start.best != best) {
+        candidate_position(m, first, x);
+        if (search->best != best) {
             fo_real before[FO_N];
-            candidate_position(a, s, &s->now.start.candidates[s->now.start.best], before);
+            candidate_position(m, &search->candidates[search->best], before);
             if (!same_direction(x, before) ||
-                s->now.start.candidates[s->now.start.best].age < CONVERGED_AFTER) {
-                s->now.start.confirmations = 0U;
-                s->tracker.settled = ZERO;
+                search->candidates[search->best].age < CONVERGED_AFTER) {
+                search->confirmations = 0U;
+                *other_direction = true;
             }
-            s->now.start.best = best;
+            search->best = best;
         }
         const fo_real square = dot(x, x);
-        const int second = second_candidate(a, s, best);
-        choice->second_theta = c->theta;
+        const int second = second_candidate(a, s, m, search, best);
+        c->second_theta = first->theta;
         if (second >= 0) {
-            choice->second_theta = s->now.start.candidates[second].theta;
-            other = likelihood_ratio(a, s, c, &s->now.start.candidates[second], square, inflation);
-            s->now.start.confirmations =
-                other > SECOND_WEIGHT_MAX ? 0U : s->now.start.confirmations;
+            c->second_theta = search->candidates[second].theta;
+            other = likelihood_ratio(a, m, first, &search->candidates[second], square, inflation);
+            search->confirmations = other > SECOND_WEIGHT_MAX ? 0U : search->confirmations;
         }
-        choice->best = *c;
-        choice->best.theta = fo_atan2(x[1], x[0]);
-        track(&a->plain, &s->tracker, choice->best.theta);
-        settle_tracker(&a->plain, &s->tracker, choice->best.theta, fo_sqrt(c->variance));
-        const bool quick = !(s->emf_ratio > ZERO) ||
-                           (s->emf_ratio < QUICK_START && s->tracker.settled >= TRACKER_SETTLED);
-        const fo_real share = s->plain.info.noise[0] * c->variance * square;
-        choice->inflation =
+        c->best = *first;
+        c->best.theta = fo_atan2(x[1], x[0]);
+        const bool quick = !(m->end.emf_ratio > ZERO) ||
+                           (m->end.emf_ratio < QUICK_START && data->settled);
+        const fo_real share = data->info.noise[0] * first->variance * square;
+        c->inflation =
             inflation / (share < NOISE_SHARE_MAX ? ONE - share : ONE - NOISE_SHARE_MAX);
-        choice->best.variance *= choice->inflation;
-        choice->second_weight =
-            s->now.start.confirmations >= CONFIRMATIONS ? other / (ONE + other) : ONE / TWO;
-        choice->decided = stepped == best && (quick || s->plain.trusted) &&
-                          s->now.start.confirmations >= CONFIRMATIONS &&
-                          other < SECOND_WEIGHT_MAX && share < START_SHARE &&
-                          choice->best.variance < START_STD * START_STD;
+        c->best.variance *= c->inflation;
+        c->second_weight =
+            search->confirmations >= CONFIRMATIONS ? other / (ONE + other) : ONE / TWO;
+        c->decided = stepped == best && (quick || data->trusted) && !*other_direction &&
+                     search->confirmations >= CONFIRMATIONS && other < SECOND_WEIGHT_MAX &&
+                     share < START_SHARE && c->best.variance < START_STD * START_STD;
     }
+}
+
+/* Answers with a candidate, or with a start from it. */
+static void answer_candidate(const fo_candidate *c, fo_answer_kind kind, fo_answer *answer)
+{
+    answer->kind = kind;
+    for (int i = 0; i < FO_N; i++) {
+        answer->flux[i] = c->p[M_FLUX + i];
+        answer->drift[i] = c->p[M_DRIFT + i];
+    }
+    answer->length = fo_sqrt(c->p[M_SQUARE]);
+    answer->variance = c->variance;
+}
+
+/* Makes up to as many steps as there were samples since the last mail, at most one for each
+ * candidate. */
+static void fit(const fo_adaptive *a, fo_learner *s, const fo_mail *m, fo_search *search,
+                fo_answer *answer)
+{
+    const uint32_t samples = m->block.samples;
+    const uint32_t steps = samples < (uint32_t)FO_CANDIDATES ? samples : (uint32_t)FO_CANDIDATES;
+    fo_manifold information;
+    choice c = {0};
+    for (uint32_t n = 0U; n < steps && !c.decided; n++) {
+        const int stepped = (int)search->next;
+        search->next = (search->next + 1U) % (uint32_t)FO_CANDIDATES;
+        fo_gauss_newton_step(a, s, m, &search->candidates[stepped], &information);
+        choose(a, s, m, search, stepped, &c, &answer->other_direction);
+    }
+    answer->other_weight = c.second_weight;
+    if (c.has_best) {
+        answer_candidate(&c.best, FO_ANSWER_CANDIDATE, answer);
+        answer->other_theta = c.second_theta;
+        if (c.decided && m->end.emf_ratio < EMF_RATIO_LIMIT &&
+            fo_abs(m->data.search.rotation) > SWEEP) {
+            fo_learning_start(a, s, &c.best, &information, c.inflation, &m->end);
+            answer->kind = FO_ANSWER_START;
+        }
+    }
+}
+
+/* Starts the filter from the plain observer's solution. */
+static void start_from_plain(const fo_adaptive *a, fo_learner *s, const fo_mail *m,
+                             fo_search *search, fo_answer *answer)
+{
+    const fo_search_data *data = &m->data.search;
+    fo_manifold information;
+    fo_candidate c;
+    c = search->candidates[0];
+    for (int i = 0; i < FO_N; i++) {
+        c.p[M_FLUX + i] = data->flux[i];
+        c.p[M_DRIFT + i] = data->drift[i];
+    }
+    fo_gauss_newton_step(a, s, m, &c, &information);
+    if (c.variance < START_STD_FROM_PLAIN * START_STD_FROM_PLAIN) {
+        answer_candidate(&c, FO_ANSWER_START, answer);
+        fo_learning_start(a, s, &c, &information, data->power > ONE ? data->power : ONE, &m->end);
+    }
+}
+
+void fo_candidates_learn(const fo_adaptive *a, fo_learner *s, fo_search *search, const fo_mail *m,
+                         fo_answer *answer)
+{
+    fo_real unused[2 * FO_N] = {0};
+    if (m->forget && !s->frozen) {
+        fo_learning_reset(a, s);
+    }
+    fo_learning_move_prior_means(a, s, unused, &unused[FO_N]);
+    if (m->place) {
+        place_candidates(a, s, m, search);
+    } else {
+        for (int k = 0; k < FO_CANDIDATES; k++) {
+            fo_real *p = search->candidates[k].p;
+            for (int i = 0; i < FO_N; i++) {
+                p[M_FLUX + i] += m->block.volt_seconds[i] + m->block.time * p[M_DRIFT + i];
+            }
+        }
+    }
+    if (search->next == 0U) { /* once in a round, because it costs a substitution */
+        fo_learning_update_voltage_std(a, s, &m->end);
+    }
+    answer->kind = FO_ANSWER_NONE;
+    if (a->projection != FO_PROJECT_NEVER) {
+        fit(a, s, m, search, answer);
+    } else if (m->data.search.trusted && m->end.emf_ratio < EMF_RATIO_LIMIT) {
+        start_from_plain(a, s, m, search, answer);
+    } else {
+        /* wait for the plain observer */
+    }
+    fo_learning_values(a, s, answer->value);
 }

@@ -13,6 +13,18 @@
 #error "do not use -ffast-math: values that are not finite have to be detected"
 #endif
 
+/* Accesses of a flag between two tasks: what was written before a release is visible after an
+ * acquire that sees the flag. */
+#ifndef FO_RELEASE
+#if defined(__GNUC__)
+#define FO_RELEASE(flag, value) __atomic_store_n(&(flag), (value), __ATOMIC_RELEASE)
+#define FO_ACQUIRE(flag) __atomic_load_n(&(flag), __ATOMIC_ACQUIRE)
+#else /* one core: the order of volatile accesses; define both for other compilers and two cores */
+#define FO_RELEASE(flag, value) ((flag) = (value))
+#define FO_ACQUIRE(flag) (flag)
+#endif
+#endif
+
 #if FO_SINGLE
 #define fo_abs fabsf
 #define fo_sqrt sqrtf
@@ -164,6 +176,12 @@ void fo_linearise_map(const fo_observer *o, fo_real angle, const fo_real current
 static inline fo_real dot(const fo_real a[FO_N], const fo_real b[FO_N])
 {
     return a[0] * b[0] + a[1] * b[1];
+}
+
+/* Component of v across the unit vector `along`. */
+static inline fo_real component_across(const fo_real along[FO_N], const fo_real v[FO_N])
+{
+    return along[0] * v[1] - along[1] * v[0];
 }
 
 /* Row i of a matrix times a vector. */

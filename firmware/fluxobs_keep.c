@@ -298,15 +298,18 @@ void fo_adaptive_save(const fo_adaptive *a, const fo_adaptive_state *s,
     learnt_numbers learnt;
     fo_real units_checksum = unit_checksum(a);
     (void)memset(&learnt, 0, sizeof learnt);
-    (void)memcpy(learnt.p, s->p, sizeof learnt.p);
-    (void)memcpy(learnt.d, &s->d[FO_NF], sizeof learnt.d);
-    (void)memcpy(learnt.z, &s->z[FO_NF], sizeof learnt.z);
-    (void)memcpy(learnt.U, &s->U[FO_ROW(FO_NA, FO_NF)], sizeof learnt.U);
+    (void)memcpy(learnt.p, s->learner.p, sizeof learnt.p);
+    (void)memcpy(learnt.d, &s->learner.d[FO_NF], sizeof learnt.d);
+    (void)memcpy(learnt.z, &s->learner.z[FO_NF], sizeof learnt.z);
+    (void)memcpy(learnt.U, &s->learner.U[FO_ROW(FO_NA, FO_NF)], sizeof learnt.U);
     for (int i = 0; i < (int)FO_NP && is_never_reset(&s->plain); i++) { /* a state of zeros stands
                                                                          * for the prior */
         learnt.d[i] = ONE;
     }
-    fo_learning_prior_means(a, learnt.means);
+    (void)memcpy(learnt.means, s->learner.means, sizeof learnt.means);
+    if (is_never_reset(&s->plain)) {
+        fo_learning_prior_means(a, learnt.means);
+    }
     put_head(blob, CONTENT_SAVED, (uint32_t)FO_ASYMMETRIC, FO_SAVED_BYTES);
     transfer(&c, &units_checksum);
     transfer_learnt(&c, &learnt);
@@ -330,13 +333,18 @@ fo_error fo_adaptive_restore(const fo_adaptive *a, fo_adaptive_state *s, const u
         } else if (units_checksum < expected || units_checksum > expected) {
             result = FO_ERROR_OTHER;
         } else {
-            (void)memcpy(s->p, learnt.p, sizeof learnt.p);
-            (void)memcpy(&s->d[FO_NF], learnt.d, sizeof learnt.d);
-            (void)memcpy(&s->z[FO_NF], learnt.z, sizeof learnt.z);
-            (void)memcpy(&s->U[FO_ROW(FO_NA, FO_NF)], learnt.U, sizeof learnt.U);
-            fo_learning_widen_resistance(a, s, std > ZERO ? changed * learnt.means[1] / std : ZERO);
-            fo_learning_move_prior_means(a, s, learnt.means);
-            fo_candidates_place(a, s);
+            fo_learner *r = &s->learner;
+            fo_real unused[2 * FO_N] = {0};
+            (void)memcpy(r->p, learnt.p, sizeof learnt.p);
+            (void)memcpy(&r->d[FO_NF], learnt.d, sizeof learnt.d);
+            (void)memcpy(&r->z[FO_NF], learnt.z, sizeof learnt.z);
+            (void)memcpy(&r->U[FO_ROW(FO_NA, FO_NF)], learnt.U, sizeof learnt.U);
+            (void)memcpy(r->means, learnt.means, sizeof learnt.means);
+            fo_learning_move_prior_means(a, r, unused, &unused[FO_N]);
+            fo_learning_widen_resistance(a, r,
+                                         std > ZERO ? changed * learnt.means[1] / std : ZERO);
+            fo_learning_values(a, r, s->value);
+            s->report = r->report;
         }
     }
     return result;

@@ -2,26 +2,16 @@
 #include "fluxobs_learning.h"
 
 #include "fluxobs_internal.h"
+#include "fluxobs_relation.h"
 
 #include <string.h>
 
 /* ---- thresholds: unit, reason, and what determined their value ----------------------------- */
 
-/* Rotation over which residuals are averaged to one measurement row [rad]: an eighth of a turn.
- * Model errors are functions of the angle with harmonics up to the sixth. Rows of shorter blocks
- * would repeat the same error and count as new information. */
-static const fo_real BLOCK = PI / (fo_real)4;
-/* Time after which a block ends if the rotor is slow [memories]. The weight of its row is the share
- * of BLOCK that the rotor has turned. */
-static const fo_real BLOCK_MAX = (fo_real)0.3;
 /* Mean of the sixth harmonic over BLOCK, as a share of its amplitude [1]: sinc(3 BLOCK). */
 static const fo_real SIXTH = (fo_real)0.3;
 /* Std of a row due to model errors [flux bases]: no machine satisfies its relation better. */
 static const fo_real MODEL = (fo_real)0.002;
-/* Share of the inverter's voltage that the model of the loss does not describe [1]. */
-static const fo_real INVERTER_UNMODELLED = (fo_real)0.05;
-/* Additional share of the difference between the two signs, which is largest within the knee [1]. */
-static const fo_real KNEE_UNMODELLED = (fo_real)0.3;
 /* Time in which half of the information on a drift is forgotten [memories]. */
 static const fo_real DRIFT_MEMORY = (fo_real)100;
 /* Rows over which powers of innovations are averaged [1]: two turns. */
@@ -33,17 +23,15 @@ static const fo_real CLIP = (fo_real)25;
 static const fo_real LEVEL_ROWS = (fo_real)8;
 /* Lower bound of that average for the flux [1]: a fiftieth, that is, a seventh of the std. */
 static const fo_real NOISE_LEVEL_MIN = (fo_real)0.02;
-/* Change of the current as a share of the rated current, or of the speed as a share of itself, that
- * makes a new operating point [1]. Rows at one operating point repeat the same error: the n-th row
- * counts 1/n. */
-static const fo_real NEW_POINT = (fo_real)0.3;
 /* Least information on the flux [1 / flux bases^2]: the std is a thousand times any flux. */
 static const fo_real INFORMATION_MIN = (fo_real)1e-6;
+/* Least rotation of a block with a row [rad]. */
+static const fo_real TURNED_MIN = (fo_real)1e-6;
 /* Rows of a round, in which each parameter is forgotten and its prior re-injected once [1]. */
 static const uint32_t FORGETTING_ROUND = 16U;
-/* Between rows the position's variance is computed again if the parameters may have added more than
- * this share [1]. Otherwise the std would be an eighth too small. */
-static const fo_real GROWTH_MAX = (fo_real)1e9;
+/* A row of a block is used if its weight varies within the block by more than this share [1]: the
+ * rows with the weights h differ from the first only if the rotor turns by a quarter of a turn. */
+static const fo_real ROW_MIN = (fo_real)0.1;
 /* Share of the squared parameter-to-EMF ratio that a start adds to the variances of flux and drift
  * [1]. */
 static const fo_real START_SHARE_OF_EMF_RATIO = (fo_real)0.3;
@@ -61,154 +49,45 @@ static const fo_real HEAT_WALK = (fo_real)0.1;
 
 /* ---- parameters --------------------------------------------------------------------------- */
 
-fo_real fo_learning_value(const fo_adaptive *a, const fo_adaptive_state *s, int n)
-{
-    return a->std[n] * s->p[n];
-}
-
-fo_real fo_learning_std(const fo_adaptive *a, const fo_adaptive_state *s, int n, int count,
-                              fo_real curve)
+fo_real fo_learning_std(const fo_adaptive *a, const fo_learner *s, int n, int count)
 {
     fo_real direction[FO_NA] = {0};
     for (int i = n; i < n + count; i++) {
         direction[FO_NF + i] = a->std[i];
     }
-    direction[FO_NF + FO_CURVE] += a->std[FO_CURVE] * curve;
     return fo_sqrt(fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction));
 }
 
-/* Present estimate of the inverter's voltage loss, both parts together [V]. */
-static fo_real inverter_loss(const fo_adaptive *a, const fo_adaptive_state *s)
+void fo_learning_values(const fo_adaptive *a, const fo_learner *s, fo_real value[FO_NP])
 {
-    return TWO * a->inverter_mean + fo_learning_value(a, s, FO_INVERTER) +
-           fo_learning_value(a, s, FO_INVERTER + 1);
-}
-
-fo_real fo_learning_unmodelled_voltage(const fo_adaptive *a, const fo_adaptive_state *s)
-{
-    const fo_real share = INVERTER_UNMODELLED + KNEE_UNMODELLED * s->knee;
-    const fo_real mean = inverter_loss(a, s), std = s->reported_std[2];
-    return share * fo_sqrt(mean * mean + std * std) * a->volt / a->plain.h;
-}
-
-/* Linearises the map at the filter's own angle, because the guard's angle may differ. A cage's map
- * does not depend on the angle. */
-static void linearise_map_at_filter(const fo_adaptive *a, fo_adaptive_state *s)
-{
-#if FO_MAPPED
-    const fo_observer *o = &a->plain;
-    if (has_map(o) && s->running && !has_cage_map(o) && !s->plain.has_external_angle) {
-        fo_linearise_map(o, predicted_angle(o, &s->tracker), s->plain.current[0], &s->map_point);
-    } else {
-        s->map_point = s->plain.map_point;
-    }
-#else
-    (void)a;
-    (void)s;
-#endif
-}
-
-/* Position vector and derivatives at which the relation is linearised. */
-typedef struct {
-    fo_real current[FO_N];      /* current without offset                                    */
-    fo_real x[FO_N], length;    /* position vector                                           */
-    fo_real direction[FO_N];    /* direction of the position vector: the d axis              */
-    fo_real armature_flux[2];   /* flux of the current along d, q                            */
-    fo_real length_by_current;  /* part of the length due to the current: saliency           */
-} linearisation_point;
-
-/* Component of v across the unit vector `along`. */
-static fo_real component_across(const fo_real along[FO_N], const fo_real v[FO_N])
-{
-    return along[0] * v[1] - along[1] * v[0];
-}
-
-/* Position vector at the present current, with the estimates of the inductances. */
-static void linearise(const fo_adaptive *a, const fo_adaptive_state *s, linearisation_point *point)
-{
-    const fo_observer *o = &a->plain;
-    const fo_real L_d = o->L_position + a->saliency, L_q = o->L_position;
-    const fo_real wrong_d = fo_learning_value(a, s, FO_INDUCTANCE);
-    const fo_real wrong_q = fo_learning_value(a, s, FO_INDUCTANCE + 1);
-    for (int i = 0; i < FO_N; i++) {
-        const fo_real offset = fo_learning_value(a, s, FO_OFFSET + i);
-        point->current[i] = s->plain.current[0][i] - offset;
-        point->x[i] = s->flux[i] - (L_q + wrong_q * L_q) * point->current[i];
-#if FO_MAPPED
-        if (has_map(o)) {
-            point->x[i] = s->flux[i] - (s->map_point.armature_flux[i] - L_q * offset);
-        }
-#endif
-    }
-#if FO_MAPPED
-    const fo_map_point *f = &s->map_point;
-    if (has_map(o)) {
-        point->length_by_current = f->active_flux - o->map->psi / o->flux_base;
-        point->armature_flux[0] = dot(f->direction, f->armature_flux) +
-                                  (has_cage_map(o) ? ZERO : point->length_by_current);
-        point->armature_flux[1] = component_across(f->direction, f->armature_flux);
-        point->x[0] += wrong_q * point->armature_flux[1] * f->direction[1];
-        point->x[1] -= wrong_q * point->armature_flux[1] * f->direction[0];
-    }
-#endif
-    point->length = fo_sqrt(dot(point->x, point->x));
-    point->direction[0] = point->x[0] / point->length;
-    point->direction[1] = point->x[1] / point->length;
-#if FO_MAPPED
-    if (has_map(o)) { /* convert from the direction of the map's linearisation to the present
-                       * direction */
-        const fo_real off = component_across(f->direction, point->direction) * point->length;
-        point->length_by_current +=
-            wrong_d * point->armature_flux[0] - component_across(f->direction, f->by_flux) * off;
-    } else
-#endif
-    {
-        const fo_real i_d = dot(point->direction, point->current);
-        point->armature_flux[0] = L_d * i_d;
-        point->armature_flux[1] = L_q * component_across(point->direction, point->current);
-        point->length_by_current = (a->saliency + wrong_d * L_d - wrong_q * L_q) * i_d;
+    for (int j = 0; j < (int)FO_NP; j++) {
+        value[j] = a->std[j] * s->p[j];
     }
 }
 
-/* Gradient of the residual by the flux, and negative gradient by the current. */
-static void residual_gradients(const fo_adaptive *a, const fo_adaptive_state *s,
-                               const linearisation_point *point, fo_real by_flux[FO_N],
-                               fo_real by_current[FO_N]) {
-#if FO_MAPPED
-    if (has_map(&a->plain)) {
-        const fo_map_point *f = &s->map_point;
-        for (int i = 0; i < FO_N; i++) {
-            by_flux[i] = f->by_flux[i];
-            by_current[i] = f->by_current[i];
-        }
-    } else
-#else
-    (void)s;
-#endif
-    {
-        const fo_real i_d = dot(point->direction, point->current);
-        for (int i = 0; i < FO_N; i++) {
-            const fo_real beside = point->current[i] - i_d * point->direction[i];
-            by_flux[i] = point->direction[i] - a->saliency / point->length * beside;
-            by_current[i] = a->plain.L_position * by_flux[i] + a->saliency * point->direction[i];
-        }
-    }
-}
-
-/* Updates one of the three reported stds. A row updates only one, because each std costs a
+/* Updates one of the three reported stds. A block updates only one, because each std costs a
  * substitution. */
-static void update_reported_std(const fo_adaptive *a, fo_adaptive_state *s, uint32_t n)
+static void update_reported_std(const fo_adaptive *a, fo_learner *s, uint32_t n)
 {
-    if (n == 0U) {
-        s->reported_std[0] = fo_learning_std(a, s, FO_PSI, 1, ZERO);
-    } else if (n == 1U) {
-        s->reported_std[1] = fo_learning_std(a, s, FO_RESISTANCE, 1, ZERO);
-    } else {
-        s->reported_std[2] = fo_learning_std(a, s, FO_INVERTER, 2, inverter_loss(a, s));
+    static const int first[3] = {FO_PSI, FO_RESISTANCE, FO_INVERTER};
+    fo_learning_report *r = &s->report;
+    r->reported_std[n] = fo_learning_std(a, s, first[n], n == 2U ? 2 : 1);
+    if (n == 2U) {
+        const fo_real loss = TWO * a->inverter_mean + a->std[FO_INVERTER] * s->p[FO_INVERTER] +
+                             a->std[FO_INVERTER + 1] * s->p[FO_INVERTER + 1];
+        r->loss_size = fo_sqrt(loss * loss + r->reported_std[2] * r->reported_std[2]) * a->volt /
+                       a->plain.h;
     }
 }
 
-void fo_learning_reset(const fo_adaptive *a, fo_adaptive_state *s)
+static void update_reported_stds(const fo_adaptive *a, fo_learner *s)
+{
+    for (uint32_t n = 0U; n < 3U; n++) {
+        update_reported_std(a, s, n);
+    }
+}
+
+void fo_learning_reset(const fo_adaptive *a, fo_learner *s)
 {
     (void)memset(s->U, 0, sizeof s->U);
     for (int i = 0; i < FO_NA; i++) {
@@ -218,45 +97,25 @@ void fo_learning_reset(const fo_adaptive *a, fo_adaptive_state *s)
     for (int i = 0; i < FO_NP; i++) {
         s->p[i] = ZERO;
     }
-    for (uint32_t n = 0U; n < 3U; n++) {
-        update_reported_std(a, s, n);
-    }
-    s->voltage_std = ZERO;
-    s->emf_ratio = TWO;
+    (void)memset(&s->report, 0, sizeof s->report);
+    update_reported_stds(a, s);
+    fo_learning_prior_means(a, s->means);
 }
 
-static fo_real magnitude(const fo_real v[FO_N]) { return fo_sqrt(dot(v, v)); }
-
-/* Std of the voltage at this current due to errors of the parameters. */
-static void update_voltage_std(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t)
+void fo_learning_update_voltage_std(const fo_adaptive *a, fo_learner *s, const fo_block_end *end)
 {
     fo_real direction[FO_NA] = {0};
-    for (int i = FO_RESISTANCE; i < FO_OFFSET; i++) {
-        direction[FO_NF + i] = magnitude(t->sensitivity[i]);
+    const fo_real *std = a->std;
+    direction[FO_NF + FO_RESISTANCE] = std[FO_RESISTANCE] * fo_sqrt(dot(end->mean_current,
+                                                                        end->mean_current));
+    for (int n = 0; n < 2; n++) {
+        direction[FO_NF + FO_INVERTER + n] =
+            std[FO_INVERTER + n] * fo_sqrt(dot(end->signs[n], end->signs[n]));
     }
-    s->voltage_std =
-        fo_sqrt(fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction)) / a->plain.h;
-    s->voltage_std_square = dot(s->plain.current[0], s->plain.current[0]);
-}
-
-void fo_learning_update_emf_ratio(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
-                       fo_real length, fo_real turned)
-{
-    if (!s->running && s->sample_index % FORGETTING_ROUND == 0U) {
-        update_voltage_std(a, s, t);
-    }
-    const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
-    fo_real flux_std = s->voltage_std * a->plain.h;
-    if (square > s->voltage_std_square && s->voltage_std_square > ZERO) { /* larger now */
-        flux_std *= fo_sqrt(square / s->voltage_std_square);
-    }
-    const fo_real decay = turned < ONE ? turned : ONE;
-    const fo_real growth = length > ZERO ? flux_std / length : ONE;
-    const fo_real ratio = s->emf_ratio + growth - s->emf_ratio * decay;
-    s->emf_ratio = ratio < TWO ? ratio : TWO;
-    if (!(a->std[FO_RESISTANCE] + a->std[FO_INVERTER] > ZERO)) { /* both are known */
-        s->emf_ratio = ZERO;
-    }
+    s->report.voltage_std =
+        fo_sqrt(fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction)) * a->volt /
+        a->plain.h;
+    s->report.voltage_std_square = dot(end->current, end->current);
 }
 
 /* ---- prediction: the information factor over a block ----------------------------------------- */
@@ -264,7 +123,7 @@ void fo_learning_update_emf_ratio(const fo_adaptive *a, fo_adaptive_state *s, co
 /* Adds process noise of this variance to both components of the flux. The information L on the flux
  * becomes (1 / L + variance)^-1. The information on the other unknowns, with the flux eliminated,
  * does not change. */
-static void add_flux_process_noise(fo_adaptive_state *s, fo_real variance)
+static void add_flux_process_noise(fo_learner *s, fo_real variance)
 {
     fo_real *first = &s->U[0], *second = &s->U[FO_ROW(FO_NA, 1)];
     const fo_real u = first[0], d0 = s->d[0], d1 = s->d[1];
@@ -282,7 +141,7 @@ static void add_flux_process_noise(fo_adaptive_state *s, fo_real variance)
 
 /* Propagates the factor to the end of the block, where the flux is flux + time drift + sensitivity
  * p. */
-static void propagate(fo_adaptive_state *s, const fo_block *b)
+static void propagate(fo_learner *s, const fo_block *b)
 {
     for (int i = 0; i < FO_N; i++) {
         const fo_real by_flux[FO_N] = {i == 0 ? ONE : ZERO, i == 0 ? s->U[0] : ONE};
@@ -290,14 +149,14 @@ static void propagate(fo_adaptive_state *s, const fo_block *b)
         for (int j = 0; j < FO_N; j++) {
             row[j] -= b->time * by_flux[j];
         }
-        for (int j = 0; j < FO_NP; j++) {
-            row[FO_N + j] -= dot(by_flux, b->sensitivity[j]);
+        for (int j = 0; j < (int)FO_NS; j++) {
+            row[FO_N + FO_RESISTANCE + j] -= dot(by_flux, b->sensitivity[j]);
         }
     }
 }
 
 /* Forgets the drift towards its prior. */
-static void forget_drift(const fo_adaptive *a, fo_adaptive_state *s, fo_real time)
+static void forget_drift(const fo_adaptive *a, fo_learner *s, fo_real time)
 {
     const fo_real share = time / DRIFT_MEMORY,
                   prior = ONE / (a->plain.drift_prior_std * a->plain.drift_prior_std);
@@ -306,36 +165,43 @@ static void forget_drift(const fo_adaptive *a, fo_adaptive_state *s, fo_real tim
     }
 }
 
-static void reset_block(fo_adaptive_state *s)
+/* Time update over the block. The process noise includes effects that no parameter describes. */
+static void predict_block(const fo_adaptive *a, fo_learner *s, const fo_block *b)
 {
-    (void)memset(&s->now.block, 0, sizeof s->now.block);
-    s->now.block.theta = s->theta;
+    const fo_real step = a->unmodelled * b->time;
+    propagate(s, b);
+    add_flux_process_noise(s, step * step + b->unmodelled * b->unmodelled);
+    if (has_cage_map(&a->plain)) {
+        const fo_real q = CAGE_WALK * CAGE_WALK * b->time / (a->std[FO_PSI] * a->std[FO_PSI]);
+        s->d[FO_NF + FO_PSI] /= ONE + s->d[FO_NF + FO_PSI] * q;
+    }
+    forget_drift(a, s, b->time);
 }
 
-/* Flux error that a parameter error causes in steady state: sensitivity / (j turned). */
-static void steady_state_coupling(const fo_real sensitivity[FO_N], fo_real turned,
+/* ---- start ---------------------------------------------------------------------------------- */
+
+/* Flux error that a voltage error in proportion to `vector` causes in steady state, at this
+ * rotation per sample: the voltage over a sample, divided by j turned. */
+static void steady_state_coupling(const fo_real vector[FO_N], fo_real scale, fo_real turned,
                                   fo_real coupling[FO_N])
 {
-    coupling[0] = sensitivity[1] / turned;
-    coupling[1] = -sensitivity[0] / turned;
+    coupling[0] = scale * vector[1] / turned;
+    coupling[1] = -scale * vector[0] / turned;
 }
 
-void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_candidate *c,
-                       const fo_manifold *m, fo_real inflation, const fo_interval *t)
+void fo_learning_start(const fo_adaptive *a, fo_learner *s, const fo_candidate *c,
+                       const fo_manifold *m, fo_real inflation, const fo_block_end *end)
 {
-    const fo_real psi = fo_sqrt(c->p[FO_NM - 1]), speed = a->plain.sample_time * s->tracker.speed;
+    const fo_real psi = fo_sqrt(c->p[FO_NM - 1]), speed = a->plain.sample_time * end->speed;
     /* at least a radian per memory; at lower speed the drift is unidentifiable */
     const fo_real h = a->plain.h;
     const fo_real turned = fo_abs(speed) > h ? speed : speed < ZERO ? -h : h;
-    linearisation_point point;
-    fo_real by_flux[FO_N], by_current[FO_N];
-    linearise_map_at_filter(a, s);
-    for (int i = 0; i < FO_N; i++) {
-        s->flux[i] = c->p[i];
-        s->drift[i] = c->p[FO_N + i];
-    }
-    linearise(a, s, &point);
-    residual_gradients(a, s, &point, by_flux, by_current);
+    fo_learning_report *r = &s->report;
+    fo_linearisation point;
+    fo_real by_flux[FO_N], by_current[FO_N], value[FO_NP];
+    fo_learning_values(a, s, value);
+    fo_linearise(a, value, c->p, end->current, map_of(end), &point);
+    fo_residual_gradients(a, map_of(end), &point, by_flux, by_current);
     if (a->std[FO_PSI] > ZERO && !s->frozen && !(fo_abs(s->p[FO_PSI]) > ZERO)) { /* first start */
         s->p[FO_PSI] = (point.length - point.length_by_current - a->psi) / a->std[FO_PSI];
     }
@@ -353,11 +219,14 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
         fo_real *row = &s->U[FO_AT(FO_NA, i, FO_NF)]; /* the parameters */
         const fo_real by_psi = TWO * psi * row_m[FO_NM - 1]; /* p has the square of psi */
         for (int j = 0; j < (int)FO_NP; j++) {
-            fo_real coupling[FO_N] = {0};
-            if (j < (int)FO_OFFSET) {
-                steady_state_coupling(t->sensitivity[j], turned, coupling);
-            }
-            row[j] = -(dot(coupling, row_m) + by_psi * dot(coupling, point.direction));
+            row[j] = ZERO;
+        }
+        for (int j = 0; j < 3; j++) { /* resistance and both parts of the inverter's loss */
+            const fo_real *vector = j == 0 ? end->mean_current : end->signs[j - 1];
+            fo_real coupling[FO_N];
+            steady_state_coupling(vector, -a->std[FO_RESISTANCE + j] * a->volt, turned, coupling);
+            row[FO_RESISTANCE + j] =
+                -(dot(coupling, row_m) + by_psi * dot(coupling, point.direction));
         }
         row[FO_PSI] = by_psi * a->std[FO_PSI];
         row[FO_INDUCTANCE] = by_psi * a->std[FO_INDUCTANCE] * point.armature_flux[0];
@@ -366,59 +235,102 @@ void fo_learning_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_cand
         s->d[i] = m->d[i] / inflation;
         s->z[i] = ZERO;
     }
-    add_flux_process_noise(
-        s, START_SHARE_OF_EMF_RATIO * s->emf_ratio * s->emf_ratio * point.length * point.length);
+    const fo_real square = point.length * point.length;
+    add_flux_process_noise(s,
+                           START_SHARE_OF_EMF_RATIO * end->emf_ratio * end->emf_ratio * square);
     for (int i = FO_N; i < (int)FO_NF; i++) { /* drift, with its voltage error */
-        const fo_real variance = START_SHARE_OF_EMF_RATIO * s->voltage_std * s->voltage_std;
+        const fo_real variance = START_SHARE_OF_EMF_RATIO * r->voltage_std * r->voltage_std;
         s->d[i] /= ONE + s->d[i] * variance;
     }
-    s->theta = c->theta;
-    s->x[0] = point.direction[0];
-    s->x[1] = point.direction[1];
-    s->running = true;
     s->noise_level = ONE;
-    s->rows = ZERO;
-    s->innovation_power = ONE;
     s->rows_at_point = ZERO;
-    s->variance_across = c->variance * point.length * point.length;
-    s->variance_time = ZERO;
-    s->growth = s->voltage_std * s->voltage_std;
+    r->rows = ZERO;
+    r->innovation_power = ONE;
+    r->variance_across = c->variance * square;
+    r->growth = r->voltage_std * r->voltage_std;
     const fo_real by_L_q = a->std[FO_INDUCTANCE + 1] * point.armature_flux[1];
-    s->variance_by_L_q = by_L_q * by_L_q;
-    s->armature_flux_q = point.armature_flux[1];
-    s->voltage_turn = ZERO;
-    s->disagreement = ZERO;
-    reset_block(s);
+    r->variance_by_L_q = by_L_q * by_L_q;
+    r->armature_flux_q = point.armature_flux[1];
+    r->drift_std = ONE;
 }
 
-/* ---- measurement
- * ------------------------------------------------------------------------------ */
+/* ---- measurement: the rows of a block -------------------------------------------------------- */
 
-/* Adds a sample's residual |x| - length_by_current - psi_f and its gradients to the block. */
-static void add_sample(const fo_adaptive *a, const fo_adaptive_state *s,
-                       const linearisation_point *point, fo_block *b) {
-    fo_real by_flux[FO_N], by_current[FO_N];
-    residual_gradients(a, s, point, by_flux, by_current);
-    for (int i = 0; i < FO_N; i++) {
-        b->by_flux[i] += by_flux[i];
-        b->by_flux_time[i] += by_flux[i] * b->time;
-        b->by_parameter[FO_OFFSET + i] += a->std[FO_OFFSET + i] * by_current[i];
+/* A block's rows with the weights 1, h_0, h_1: regressors of flux and drift at its end, and of the
+ * parameters; innovations; shares of the block's information. */
+typedef struct {
+    fo_real row[FO_NW][FO_NA], innovation[FO_NW], share[FO_NW];
+} block_rows;
+
+/* Sum of the weight w over the samples, and of w h_i, w t h_i. */
+static fo_real sum_of_weight(const fo_sums *sums, int w)
+{
+    return w == 0 ? (fo_real)sums->samples : sums->h[w - 1];
+}
+
+static fo_real sum_of_products(const fo_real by_one[FO_N], const fo_real by_h[3], int w, int i)
+{
+    return w == 0 ? by_one[i] : by_h[w - 1 + i];
+}
+
+/* Weighted sums over the block. */
+static void sum_rows(const fo_adaptive *a, const fo_block *b, const fo_sums *sums, block_rows *r)
+{
+    for (int w = 0; w < (int)FO_NW; w++) {
+        fo_real *row = r->row[w];
+        for (int i = 0; i < FO_N; i++) {
+            row[i] = sum_of_products(sums->h, sums->hh, w, i);
+            row[FO_N + i] = sum_of_products(sums->th, sums->thh, w, i) - b->time * row[i];
+        }
+        row[FO_NF + FO_PSI] = -a->std[FO_PSI] * sum_of_weight(sums, w);
+        for (int j = 1; j < (int)FO_NP; j++) {
+            row[FO_NF + j] = sums->by_parameter[j - 1][w];
+        }
+        for (int j = 0; j < (int)FO_NS; j++) {
+            row[FO_NF + FO_RESISTANCE + j] -= dot(row, b->sensitivity[j]);
+        }
+        r->innovation[w] = -sums->residual[w];
     }
-    for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
-        b->by_parameter[j] += dot(by_flux, b->sensitivity[j]);
+}
+
+/* Subtracts a multiple of row v from row w. */
+static void subtract_row(block_rows *r, int w, int v, fo_real factor)
+{
+    for (int j = 0; j < (int)FO_NA; j++) {
+        r->row[w][j] -= factor * r->row[v][j];
     }
-    b->by_parameter[FO_PSI] -= a->std[FO_PSI];
-    b->by_parameter[FO_INDUCTANCE] -= a->std[FO_INDUCTANCE] * point->armature_flux[0];
-    b->by_parameter[FO_INDUCTANCE + 1] -= a->std[FO_INDUCTANCE + 1] * point->armature_flux[1] *
-                                          component_across(point->direction, by_flux);
-    b->residual +=
-        point->length - point->length_by_current - (a->psi + fo_learning_value(a, s, FO_PSI));
-    b->samples++;
+    r->innovation[w] -= factor * r->innovation[v];
+}
+
+/* Makes the errors of the rows independent: the sums of weights W'W = L D L', and the rows become
+ * D^-1 L^-1 times the sums. Row w contains a share D_w of the information. */
+static void decorrelate(const fo_sums *sums, block_rows *r)
+{
+    const fo_real n = (fo_real)sums->samples;
+    fo_real D[FO_NW] = {n, ZERO, ZERO};
+    for (int w = 1; w < (int)FO_NW; w++) {
+        const fo_real factor = sums->h[w - 1] / n;
+        D[w] = sums->hh[w == 1 ? 0 : 2] - factor * sums->h[w - 1];
+        subtract_row(r, w, 0, factor);
+    }
+    if (D[1] > ROW_MIN * n) {
+        const fo_real factor = (sums->hh[1] - sums->h[0] * sums->h[1] / n) / D[1];
+        D[2] -= factor * factor * D[1];
+        subtract_row(r, 2, 1, factor);
+    }
+    for (int w = 0; w < (int)FO_NW; w++) {
+        r->share[w] = D[w] > ROW_MIN * n ? D[w] / n : ZERO;
+        const fo_real over = D[w] > ZERO ? ONE / D[w] : ZERO;
+        for (int j = 0; j < (int)FO_NA; j++) {
+            r->row[w][j] *= over;
+        }
+        r->innovation[w] *= over;
+    }
 }
 
 /* Compares the innovation of a row, after elimination of flux and drift, with its variance.
  * Averages its power. Returns whether the row is an outlier, as after a jump of the drift. */
-static bool test_innovation(fo_adaptive_state *s, const fo_real row[FO_NA], fo_real innovation,
+static bool test_innovation(fo_learner *s, const fo_real row[FO_NA], fo_real innovation,
                             fo_real information, fo_real share)
 {
     fo_real direction[FO_NA];
@@ -427,23 +339,24 @@ static bool test_innovation(fo_adaptive_state *s, const fo_real row[FO_NA], fo_r
     const fo_real power = information * square, noise = ONE / information;
     const fo_real by_parameters = fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
     const fo_real ratio = square / (noise + by_parameters);
-    s->rows += share;
-    const fo_real gain = share / (s->rows + ONE < ROWS ? s->rows + ONE : ROWS);
+    s->report.rows += share;
+    const fo_real gain = share / (s->report.rows + ONE < ROWS ? s->report.rows + ONE : ROWS);
     const fo_real level = s->noise_level > NOISE_LEVEL_MIN ? s->noise_level : NOISE_LEVEL_MIN;
     const bool outlier =
-        s->rows > LEVEL_ROWS && square > CLIP * (level * noise + by_parameters);
+        s->report.rows > LEVEL_ROWS && square > CLIP * (level * noise + by_parameters);
     const fo_real power_max = CLIP * s->noise_level;
     s->noise_level += gain * ((power < power_max ? power : power_max) - s->noise_level);
-    const fo_real ratio_max = CLIP * (ONE + s->innovation_power);
-    s->innovation_power +=
-        TWO / ROWS * share * ((ratio < ratio_max ? ratio : ratio_max) - s->innovation_power);
+    const fo_real ratio_max = CLIP * (ONE + s->report.innovation_power);
+    s->report.innovation_power +=
+        TWO / ROWS * share * ((ratio < ratio_max ? ratio : ratio_max) - s->report.innovation_power);
     return outlier;
 }
 
-/* Counts the row at the present operating point. Returns the number of rows at this point, at least
- * 1. */
-static fo_real count_rows_at_point(const fo_adaptive *a, fo_adaptive_state *s,
-                                   const linearisation_point *point, fo_real speed, fo_real share) {
+/* Counts the rows at the present operating point. Returns the number of rows at this point, at
+ * least 1. */
+static fo_real count_rows_at_point(const fo_adaptive *a, fo_learner *s,
+                                   const fo_linearisation *point, fo_real speed, fo_real share)
+{
     const fo_real now[3] = {dot(point->direction, point->current),
                             component_across(point->direction, point->current), speed};
     const fo_real speeds = fo_abs(s->operating_point[2]) + fo_abs(speed);
@@ -465,7 +378,7 @@ static fo_real count_rows_at_point(const fo_adaptive *a, fo_adaptive_state *s,
 /* Adds process noise of this variance to the resistance. The information on the other parameters,
  * with the resistance eliminated, does not change. The random step w of R is an unknown: R - w, the
  * earlier R, replaces R in the rows, and w is eliminated. */
-static void add_resistance_process_noise(fo_adaptive_state *s, fo_real variance)
+static void add_resistance_process_noise(fo_learner *s, fo_real variance)
 {
     const int psi = FO_NF + (int)FO_PSI, r = FO_NF + (int)FO_RESISTANCE;
     fo_real *row_psi = &s->U[FO_AT(FO_NA, psi, r)];
@@ -481,21 +394,21 @@ static void add_resistance_process_noise(fo_adaptive_state *s, fo_real variance)
     }
 }
 
-void fo_learning_widen_resistance(const fo_adaptive *a, fo_adaptive_state *s, fo_real stds)
+void fo_learning_widen_resistance(const fo_adaptive *a, fo_learner *s, fo_real stds)
 {
     const fo_real limit = (fo_real)1e3; /* above it, the prior is negligible; also replaces NaN */
     const fo_real std = fo_abs(stds) < limit ? stds : limit;
     add_resistance_process_noise(s, std * std);
-    for (uint32_t n = 0U; n < 3U; n++) {
-        update_reported_std(a, s, n);
-    }
+    update_reported_stds(a, s);
 }
 
 /* Moves the prior mean of a parameter by `shift` stds. Values that the data determine do not
  * change; values that the prior determines move with it. Let A be the information matrix, in which
  * the prior is 1, and A p = b. Then b becomes b - (A - 1) shift: z = U p decreases by `shift` times
- * its column, and b gains the part of the prior. */
-static void move_prior_mean(fo_adaptive_state *s, int n, fo_real shift)
+ * its column, and b gains the part of the prior. `flux` and `drift` move by what the factor ties
+ * them to the parameters. */
+static void move_prior_mean(fo_learner *s, int n, fo_real shift, fo_real flux[FO_N],
+                            fo_real drift[FO_N])
 {
     const int column = FO_NF + n;
     fo_real gained[FO_NA] = {0}, before[FO_NA], after[FO_NA];
@@ -515,17 +428,13 @@ static void move_prior_mean(fo_adaptive_state *s, int n, fo_real shift)
     fo_solve(FO_NA, s->U, s->z, FO_NF, FO_NA, after);
     for (int j = FO_NF; j < (int)FO_NA; j++) {
         after[j] -= before[j];
-        if (j < (int)FO_NF + (int)FO_CURVE) { /* the curve is a considered parameter */
-            s->p[j - (int)FO_NF] += after[j];
-        }
+        s->p[j - (int)FO_NF] += after[j];
     }
     after[column] += shift; /* the value changes, not its error */
-    if (s->running) {
-        fo_solve(FO_NA, s->U, s->z, 0, FO_NF, after);
-        for (int i = 0; i < FO_N; i++) {
-            s->flux[i] += after[i];
-            s->drift[i] += after[FO_N + i];
-        }
+    fo_solve(FO_NA, s->U, s->z, 0, FO_NF, after);
+    for (int i = 0; i < FO_N; i++) {
+        flux[i] += after[i];
+        drift[i] += after[FO_N + i];
     }
 }
 
@@ -536,34 +445,38 @@ void fo_learning_prior_means(const fo_adaptive *a, fo_real means[FO_PRIOR_MEANS]
     means[2] = a->inverter_mean;
 }
 
-void fo_learning_move_prior_means(const fo_adaptive *a, fo_adaptive_state *s,
-                                  const fo_real before[FO_PRIOR_MEANS]) {
+void fo_learning_move_prior_means(const fo_adaptive *a, fo_learner *s, fo_real flux[FO_N],
+                                  fo_real drift[FO_N])
+{
     static const int places[FO_PRIOR_MEANS + 1] = {FO_PSI, FO_RESISTANCE, FO_INVERTER,
                                                    FO_INVERTER + 1};
     fo_real now[FO_PRIOR_MEANS];
     fo_learning_prior_means(a, now);
     for (int i = 0; i < (int)FO_PRIOR_MEANS + 1; i++) {
-        const int n = places[i], mean = i < (int)FO_PRIOR_MEANS ? i : (int)FO_PRIOR_MEANS - 1;
-        if (a->std[n] > ZERO) {
-            move_prior_mean(s, n, (now[mean] - before[mean]) / a->std[n]);
+        const int n = places[i];
+        const int mean = i < (int)FO_PRIOR_MEANS ? i : (int)FO_PRIOR_MEANS - 1;
+        const fo_real change = now[mean] - s->means[mean];
+        if (a->std[n] > ZERO && fo_abs(change) > ZERO) {
+            move_prior_mean(s, n, change / a->std[n], flux, drift);
         }
     }
+    (void)memcpy(s->means, now, sizeof now);
 }
 
 /* Forgets the parameters towards their prior. In a round of rows all information is forgotten once,
  * and the prior of each parameter is re-injected once. */
-static void forget_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_real time)
+static void forget_parameters(const fo_adaptive *a, fo_learner *s, fo_real time)
 {
     s->forgotten += time * a->slow;
     s->reinject_index = s->reinject_index + 1U < FORGETTING_ROUND ? s->reinject_index + 1U : 0U;
-    if (s->reinject_index < (uint32_t)FO_CURVE) {
+    if (s->reinject_index < (uint32_t)FO_NP) {
         const int n = FO_NF + (int)s->reinject_index;
         fo_real row[FO_NA] = {0}, mean = ZERO, information = s->forgotten_before;
         row[n] = ONE;
-        fo_add_row_to(FO_NA, s->U, s->d, s->z, n, FO_NF + FO_CURVE, row, &mean, &information);
+        fo_add_row_to(FO_NA, s->U, s->d, s->z, n, FO_NF + FO_NP, row, &mean, &information);
     } else if (s->reinject_index == FORGETTING_ROUND - 1U) {
         s->forgotten_before = s->forgotten < ONE / TWO ? s->forgotten : ONE / TWO;
-        for (int j = 0; j < (int)FO_CURVE; j++) {
+        for (int j = 0; j < (int)FO_NP; j++) {
             s->d[FO_NF + j] *= ONE - s->forgotten_before;
         }
         add_resistance_process_noise(s, HEAT_WALK * HEAT_WALK * s->forgotten_before);
@@ -573,280 +486,269 @@ static void forget_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_rea
     }
 }
 
-/* If the estimated inverter loss is negative, moves the solution to the most likely parameters with
- * a loss of zero, because no inverter adds voltage. */
-static void constrain_inverter_loss(const fo_adaptive *a, const fo_adaptive_state *s,
-                                    fo_real x[FO_NA]) {
-    const fo_real volts = TWO * a->inverter_mean + a->std[FO_INVERTER] * x[FO_NF + FO_INVERTER] +
-                          a->std[FO_INVERTER + 1] * x[FO_NF + FO_INVERTER + 1];
-    if (volts < ZERO) {
+/* If the solution has a negative inverter loss or a negative resistance, moves it to the most
+ * likely parameters at which that value is zero: no inverter adds voltage. */
+static void constrain(const fo_adaptive *a, const fo_learner *s, int n, int count, fo_real mean,
+                      fo_real x[FO_NA])
+{
+    fo_real value = mean;
+    for (int j = n; j < n + count; j++) {
+        value += a->std[j] * x[FO_NF + j];
+    }
+    if (value < ZERO) {
         fo_real direction[FO_NA] = {0}, y[FO_NA] = {0};
-        direction[FO_NF + FO_INVERTER] = a->std[FO_INVERTER];
-        direction[FO_NF + FO_INVERTER + 1] = a->std[FO_INVERTER + 1];
+        for (int j = n; j < n + count; j++) {
+            direction[FO_NF + j] = a->std[j];
+        }
         const fo_real variance = fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, FO_NA, direction);
         for (int j = FO_NF; j < FO_NA; j++) { /* computes y, where U'y = direction */
             y[j] = direction[j] / s->d[j];
         }
         fo_solve(FO_NA, s->U, y, FO_NF, FO_NA, direction);
-        for (int j = FO_NF; j < (int)FO_NF + (int)FO_CURVE; j++) {
-            x[j] -= direction[j] * volts / variance;
+        for (int j = FO_NF; j < (int)FO_NA && variance > ZERO; j++) {
+            x[j] -= direction[j] * value / variance;
         }
     }
 }
 
 /* Measurement update of the parameters by a row without flux and drift. */
-static void update_parameters(const fo_adaptive *a, fo_adaptive_state *s, fo_real row[FO_NA],
+static void update_parameters(const fo_adaptive *a, fo_learner *s, fo_real row[FO_NA],
                               fo_real innovation, fo_real information)
 {
     fo_real rhs = innovation, weight = information, x[FO_NA];
     for (int j = 0; j < FO_NP; j++) { /* relative to the prior mean */
         rhs += row[FO_NF + j] * s->p[j];
     }
-    fo_add_row_to(FO_NA, s->U, s->d, s->z, FO_NF, FO_NF + FO_CURVE, row, &rhs, &weight);
+    fo_add_row_to(FO_NA, s->U, s->d, s->z, FO_NF, FO_NA, row, &rhs, &weight);
     fo_solve(FO_NA, s->U, s->z, FO_NF, FO_NA, x);
-    constrain_inverter_loss(a, s, x);
-    for (int j = 0; j < (int)FO_CURVE; j++) { /* the curve is a considered parameter */
+    constrain(a, s, FO_RESISTANCE, 1, s->means[1], x);
+    constrain(a, s, FO_INVERTER, 2, TWO * a->inverter_mean, x);
+    for (int j = 0; j < (int)FO_NP; j++) {
         s->p[j] = x[FO_NF + j];
     }
 }
 
-/* Updates flux and drift by the row, given the change of the parameters. Linearises again at the
- * new values. */
-static void update_flux(fo_adaptive_state *s, const fo_real before[FO_NP])
+/* Variance of a row due to considered parameters, which no column of the row describes: lags of
+ * voltages and currents. All rows at one operating point have the same error. `speed` is in radians
+ * per memory. */
+static fo_real lag_variance(const fo_adaptive *a, const fo_linearisation *point, fo_real speed)
 {
-    fo_real x[FO_NA];
-    for (int j = 0; j < FO_NP; j++) {
-        x[FO_NF + j] = s->p[j] - before[j];
-    }
-    fo_solve(FO_NA, s->U, s->z, 0, FO_NF, x);
-    for (int i = 0; i < FO_N; i++) {
-        s->flux[i] += x[i];
-        s->drift[i] += x[FO_N + i];
-        s->z[i] = ZERO;
-        s->z[FO_N + i] = ZERO;
-    }
+    const fo_real omega = speed * a->plain.h / a->plain.sample_time;
+    return dot(point->armature_flux, point->armature_flux) * omega * omega *
+           (a->lag_std * a->lag_std + a->delay_std * a->delay_std);
 }
 
-fo_real fo_learning_variance_growth(const fo_adaptive *a, const fo_adaptive_state *s)
-{
-    const fo_real t = s->now.block.time;
-    const fo_real square = dot(s->plain.current[0], s->plain.current[0]), before = s->voltage_std_square;
-    const fo_real change = (square - before) * a->over_rated * a->over_rated;
-    const bool changed = fo_abs(change) > NEW_POINT * NEW_POINT;
-    const fo_real raw = s->voltage_std * s->voltage_std * (square > before && before > ZERO ? square / before : ONE);
-    return (changed && raw > s->growth ? raw : s->growth) * t * t;
-}
-
-/* Marginal variance of the flux across the position vector: one part with L_q known, and the part
- * of L_q. Since the last row the drift has moved the flux in proportion to time, and each parameter
- * in proportion to its sensitivity. At steady load the row has correlated these errors with the
- * flux, and they add almost nothing. After a change of load they add their whole variance. */
-static void update_marginal_variance(const fo_adaptive *a, fo_adaptive_state *s,
-                                     const linearisation_point *point) {
-    enum { L_Q = (int)FO_NF + (int)FO_INDUCTANCE + 1, TAIL = (int)FO_NA - L_Q };
-    const fo_block *b = &s->now.block;
-    fo_real direction[FO_NA] = {0}, tail[TAIL];
-    direction[0] = -point->direction[1];
-    direction[1] = point->direction[0];
-    for (int i = 0; i < FO_N; i++) {
-        const fo_real by_offset = a->plain.L_position * a->std[FO_OFFSET + i];
-        direction[FO_N + i] = b->time * direction[i];
-        direction[FO_NF + FO_OFFSET + i] = by_offset * direction[i];
-    }
-    for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
-        direction[FO_NF + j] += dot(direction, b->sensitivity[j]);
-    }
-    const fo_real level = s->noise_level > NOISE_LEVEL_MIN ? s->noise_level : NOISE_LEVEL_MIN;
-    s->variance_across = level * fo_marginal_variance(FO_NA, s->U, s->d, 0, FO_NF, direction);
-    s->variance_across += fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, L_Q, direction);
-    (void)memcpy(tail, &direction[L_Q], sizeof tail);
-    const fo_real with_L_q_known = fo_marginal_variance(FO_NA, s->U, s->d, L_Q, FO_NA, direction);
-    s->variance_across += with_L_q_known;
-    (void)memcpy(&direction[L_Q], tail, sizeof tail);
-    direction[L_Q] -= a->std[FO_INDUCTANCE + 1] * point->armature_flux[1];
-    s->variance_by_L_q =
-        fo_marginal_variance(FO_NA, s->U, s->d, L_Q, FO_NA, direction) - with_L_q_known;
-    s->armature_flux_q = point->armature_flux[1];
-    s->variance_time = b->time;
-}
-
-/* Time update over the block. The process noise includes effects that no parameter describes. */
-static void predict_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_block *b)
-{
-    const fo_real step = a->unmodelled * b->time;
-    propagate(s, b);
-    add_flux_process_noise(s, step * step + b->unmodelled * b->unmodelled);
-    if (has_cage_map(&a->plain)) {
-        const fo_real q = CAGE_WALK * CAGE_WALK * b->time / (a->std[FO_PSI] * a->std[FO_PSI]);
-        s->d[FO_NF + FO_PSI] /= ONE + s->d[FO_NF + FO_PSI] * q;
-    }
-    forget_drift(a, s, b->time);
-}
-
-/* Regressor of the block's averaged residual, for flux and drift at the block's end. Returns the
- * innovation, which is minus that residual. */
-static fo_real block_row(const fo_block *b, fo_real row[FO_NA])
-{
-    const fo_real over = ONE / (fo_real)b->samples;
-    for (int i = 0; i < FO_N; i++) {
-        row[i] = b->by_flux[i] * over;
-        row[FO_N + i] = b->by_flux_time[i] * over - b->time * row[i];
-    }
-    for (int j = 0; j < FO_NP; j++) {
-        row[FO_NF + j] = b->by_parameter[j] * over - dot(row, b->sensitivity[j]);
-    }
-    return -b->residual * over;
-}
-
-/* Variance of a row due to considered parameters, which no column of the row describes: harmonics
- * of the magnet flux, unequal gains of the current sensors, lags of voltages and currents. All rows
- * at one operating point have nearly the same error. `speed` is in radians per memory. */
-static fo_real systematic_variance(const fo_adaptive *a, const linearisation_point *point,
-                                   fo_real speed)
-{
-    const fo_observer *o = &a->plain;
-    const fo_real omega = speed * o->h / o->sample_time;
-    const fo_real late = omega * omega * (a->lag_std * a->lag_std + a->delay_std * a->delay_std);
-    return dot(point->armature_flux, point->armature_flux) * late;
-}
-
-static fo_real oscillating_variance(const fo_adaptive *a, const linearisation_point *point)
+/* Variance of a row due to considered parameters whose error oscillates over a turn: harmonics of
+ * the magnet flux, unequal gains of the current sensors. The errors of the rows of a turn cancel. */
+static fo_real oscillating_variance(const fo_adaptive *a, const fo_linearisation *point)
 {
     const fo_real harmonics = SIXTH * a->magnet_error;
     return harmonics * harmonics + dot(point->armature_flux, point->armature_flux) *
-                                       (a->current_gain_std * a->current_gain_std);
+                                       a->current_gain_std * a->current_gain_std;
 }
 
-/* Measurement update by the block's row: first of flux and drift, then of the parameters. The
- * weight is the row's `share` of a full block. The row is linear, but the length is not: an error e
+/* What all rows of a block have in common. */
+typedef struct {
+    fo_linearisation point;
+    fo_real speed;       /* [rad per memory]                                         */
+    fo_real blocks;      /* length of the block in blocks of an eighth of a turn     */
+    fo_real variance;    /* of a row of a whole block                                */
+    fo_real curvature;   /* squared error across the position vector / its length    */
+    fo_real rows;        /* rows at this operating point                             */
+    fo_real shape;       /* error of the length by unmodelled voltages               */
+    bool learn;          /* update the parameters                                    */
+} block_context;
+
+/* Measurement update by a row: first of flux and drift, then of the parameters. Adds the changes of
+ * flux, drift and parameters to `change`. The row is linear, but the length is not: an error e
  * across the position vector x adds e^2 / (2 |x|). Its mean is subtracted, and its variance is part
  * of the row's. */
-static void update_by_block(const fo_adaptive *a, fo_adaptive_state *s, fo_real turned,
-                               fo_real share)
+static void update_by_row(const fo_adaptive *a, fo_learner *s, const block_context *c,
+                          fo_real row[FO_NA], fo_real residual, fo_real share, bool first,
+                          fo_real change[FO_NA])
 {
-    const fo_block *b = &s->now.block;
-    const fo_real over = ONE / (fo_real)b->samples;
-    linearisation_point point;
-    fo_real row[FO_NA], before[FO_NP];
-    fo_real innovation = block_row(b, row);
-    linearise(a, s, &point);
-    const fo_real curvature = (s->variance_across + fo_learning_variance_growth(a, s)) / point.length;
-    innovation -= curvature / TWO; /* mean of the error's square */
-    fo_real information = share / (MODEL * MODEL + a->through_L * s->plain.noise_inflation * over +
-                                   curvature * curvature / TWO);
+    fo_real innovation = residual, before[FO_NP];
+    for (int j = 0; j < (int)FO_NA; j++) { /* after the changes by earlier rows */
+        innovation -= row[j] * change[j];
+    }
+    if (first) {
+        innovation -= c->curvature / TWO;
+    }
+    fo_real information = share / c->variance;
     fo_add_row_to(FO_NA, s->U, s->d, s->z, 0, FO_NF, row, &innovation, &information);
     const bool informative = information > ZERO;
     const bool outlier = informative && test_innovation(s, row, innovation, information, share);
     if (outlier) {
         forget_drift(a, s, DRIFT_MEMORY); /* forget the drift completely */
     }
-    linearise(a, s, &point);
-    const fo_real speed = turned / b->time, unmodelled = b->unmodelled / b->time;
-    const fo_real rows = count_rows_at_point(a, s, &point, speed, share);
-    const fo_real shape = speed > ZERO ? unmodelled / speed : ZERO;
-    const fo_real level = s->noise_level > ONE ? s->noise_level : ONE;
-    for (int j = 0; j < FO_NP; j++) {
+    for (int j = 0; j < (int)FO_NP; j++) {
         before[j] = s->p[j];
     }
-    if (informative && !outlier && !s->frozen && s->emf_ratio < EMF_RATIO_LIMIT && speed > ZERO) {
-        const fo_real variance = ONE / information + systematic_variance(a, &point, speed);
-        const fo_real weight = ONE / ((rows * variance + shape * shape + oscillating_variance(a, &point)) * level);
+    if (informative && !outlier && c->learn) {
+        const fo_real level = s->noise_level > ONE ? s->noise_level : ONE;
+        const fo_real variance = ONE / information + lag_variance(a, &c->point, c->speed);
+        const fo_real systematic = c->shape * c->shape + oscillating_variance(a, &c->point);
+        const fo_real weight = ONE / ((c->rows * variance + systematic) * level);
         if (weight > ZERO) {
             update_parameters(a, s, row, innovation, weight);
-            forget_parameters(a, s, b->time);
         }
     }
-    update_flux(s, before);
+    fo_real x[FO_NA];
+    for (int j = 0; j < (int)FO_NP; j++) {
+        x[FO_NF + j] = s->p[j] - before[j];
+    }
+    fo_solve(FO_NA, s->U, s->z, 0, FO_NF, x); /* given the change of the parameters */
+    for (int i = 0; i < (int)FO_NA; i++) {
+        change[i] += x[i];
+    }
+    for (int i = 0; i < (int)FO_NF; i++) {
+        s->z[i] = ZERO;
+    }
 }
 
-/* Ends a block: prediction over the block, measurement update, variances of the new estimate. */
-static void finish_block(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
-                         fo_real turned)
+/* Measurement update by the rows of a block. */
+static void update_by_block(const fo_adaptive *a, fo_learner *s, const fo_block *b,
+                            const fo_sums *sums, const fo_block_end *end, fo_real change[FO_NA])
 {
-    const fo_block *b = &s->now.block;
-    const fo_real share = turned < BLOCK ? turned / BLOCK : ONE;
-    linearisation_point point;
+    block_context c;
+    block_rows r;
+    fo_real value[FO_NP];
+    const fo_real turned = fo_abs(b->turned), blocks = turned / BLOCK;
+    fo_learning_values(a, s, value);
+    fo_linearise(a, value, end->flux, end->current, map_of(end), &c.point);
+    c.blocks = blocks > ONE ? blocks : ONE;
+    c.speed = turned / b->time;
+    c.curvature = (s->report.variance_across + s->report.growth * b->time * b->time) /
+                  c.point.length;
+    c.variance = MODEL * MODEL + c.curvature * c.curvature / TWO +
+                 a->through_L * end->noise_inflation * c.blocks / (fo_real)sums->samples;
+    c.shape = turned > ZERO ? b->unmodelled / turned : ZERO;
+    c.rows = count_rows_at_point(a, s, &c.point, c.speed, blocks);
+    c.learn = !s->frozen && end->emf_ratio < EMF_RATIO_LIMIT && turned > ZERO;
+    sum_rows(a, b, sums, &r);
+    decorrelate(sums, &r);
+    for (int w = 0; w < (int)FO_NW; w++) {
+        if (r.share[w] > ZERO) {
+            update_by_row(a, s, &c, r.row[w], r.innovation[w], r.share[w] * blocks, w == 0, change);
+        }
+    }
+    if (c.learn) {
+        forget_parameters(a, s, b->time);
+    }
+}
+
+/* ---- variances of the new estimate ----------------------------------------------------------- */
+
+/* Marginal variance of the flux in direction `across`, `time` after the reference, while the flux
+ * has moved by `moved` per prior std of each parameter: one part with L_q known, and what the error
+ * of L_q adds, which turns the position vector. */
+typedef struct {
+    fo_real known, by_L_q;
+} flux_variance;
+
+static flux_variance marginal_variance(const fo_adaptive *a, const fo_learner *s,
+                                       const fo_real across[FO_N], fo_real time,
+                                       const fo_real moved[FO_NS], fo_real armature_flux_q)
+{
+    enum { L_Q = (int)FO_NA - 1 };
+    flux_variance v;
+    fo_real direction[FO_NA] = {0};
+    for (int i = 0; i < FO_N; i++) {
+        direction[i] = across[i];
+        direction[FO_N + i] = time * across[i];
+    }
+    for (int j = 0; j < (int)FO_NS; j++) {
+        direction[FO_NF + FO_RESISTANCE + j] = moved[j];
+    }
+    for (int i = 0; i < FO_N; i++) {
+        direction[FO_NF + FO_OFFSET + i] +=
+            a->plain.L_position * a->std[FO_OFFSET + i] * across[i];
+    }
+    const fo_real level = s->noise_level > NOISE_LEVEL_MIN ? s->noise_level : NOISE_LEVEL_MIN;
+    v.known = level * fo_marginal_variance(FO_NA, s->U, s->d, 0, FO_NF, direction);
+    v.known += fo_marginal_variance(FO_NA, s->U, s->d, FO_NF, L_Q, direction);
+    const fo_real y = direction[L_Q];
+    const fo_real with = y - a->std[FO_INDUCTANCE + 1] * armature_flux_q;
+    v.known += y * y / s->d[L_Q];
+    v.by_L_q = (with * with - y * y) / s->d[L_Q];
+    return v;
+}
+
+/* Variances at the block's end, and at the end of a next block with the same voltages relative to
+ * the rotor. At steady load the rows have correlated the errors of the parameters with the flux,
+ * and these errors add almost nothing. */
+static void update_variances(const fo_adaptive *a, fo_learner *s, const fo_block *b,
+                             const fo_linearisation *point)
+{
+    fo_learning_report *r = &s->report;
+    const fo_real across[FO_N] = {-point->direction[1], point->direction[0]};
+    fo_real next[FO_N], moved[FO_NS] = {0};
+    const fo_real q = point->armature_flux[1];
+    const flux_variance now = marginal_variance(a, s, across, ZERO, moved, q);
+    for (int j = 0; j < (int)FO_NS; j++) { /* relative to the rotor, as in this block */
+        moved[j] = dot(across, b->sensitivity[j]);
+    }
+    turn(across, fo_abs(b->turned) < ONE ? b->turned : ZERO, next);
+    const flux_variance then = marginal_variance(a, s, next, b->time, moved, q);
+    r->variance_across = now.known;
+    r->variance_by_L_q = now.by_L_q;
+    r->armature_flux_q = q;
+    r->growth =
+        then.known > now.known ? (then.known - now.known) / (b->time * b->time) : ZERO;
+}
+
+static void learn_block(const fo_adaptive *a, fo_learner *s, const fo_mail *m, fo_answer *answer)
+{
+    const fo_block *b = &m->block;
+    const fo_block_end *end = &m->end;
+    fo_linearisation point;
+    fo_real change[FO_NA] = {0};
     predict_block(a, s, b);
-    if (b->samples > 0U && share > (fo_real)1e-6) {
-        update_by_block(a, s, turned, share);
+    if (m->data.sums.samples > 0U && fo_abs(b->turned) > TURNED_MIN) {
+        update_by_block(a, s, b, &m->data.sums, end, change);
     }
-    linearise(a, s, &point);
-    s->theta = fo_atan2(point.x[1], point.x[0]);
-    {
-        const fo_real time = b->time > ZERO ? b->time : a->plain.h;
-        fo_real a0[FO_N] = {-point.direction[1], point.direction[0]}, a1[FO_N];
-        fo_real side = wrap(s->theta - b->theta) < ZERO ? -turned : turned;
-        linearisation_point p1 = point;
-        fo_block next = *b;
-        turn(a0, side, a1);
-        p1.direction[0] = a1[1];
-        p1.direction[1] = -a1[0];
-        for (int j = 0; j < (int)FO_NP; j++) { turn(b->sensitivity[j], side, next.sensitivity[j]); }
-        fo_block keep = *b;
-        s->now.block = next;
-        update_marginal_variance(a, s, &p1);
-        const fo_real v1 = s->variance_across;
-        s->now.block = keep;
-        reset_block(s);
-        update_marginal_variance(a, s, &point);
-        s->growth = v1 > s->variance_across ? (v1 - s->variance_across) / (time * time) : ZERO;
+    for (int i = 0; i < FO_N; i++) {
+        answer->flux[i] = change[i];
+        answer->drift[i] = change[FO_N + i];
     }
-    update_voltage_std(a, s, t);
+    for (int j = 0; j < (int)FO_NP; j++) {
+        answer->change[j] = change[FO_NF + j];
+    }
+    fo_learning_move_prior_means(a, s, answer->flux, answer->drift);
+    const fo_real flux[FO_N] = {end->flux[0] + answer->flux[0], end->flux[1] + answer->flux[1]};
+    fo_learning_values(a, s, answer->value);
+    fo_linearise(a, answer->value, flux, end->current, map_of(end), &point);
+    update_variances(a, s, b, &point);
+    fo_learning_update_voltage_std(a, s, end);
     s->report_index = s->report_index < 2U ? s->report_index + 1U : 0U;
     update_reported_std(a, s, s->report_index);
+    const fo_real gain = fo_sqrt(s->d[FO_N]) * a->plain.drift_prior_std; /* prior std over std */
+    s->report.drift_std = gain > ONE ? ONE / gain : ONE;
+    fo_real sum = s->noise_level + s->report.innovation_power + s->report.variance_across;
+    for (int i = 0; i < (int)FO_NA; i++) {
+        sum += change[i];
+    }
+    answer->wrong = !(sum - sum == ZERO && point.length > ZERO);
+    answer->kind = FO_ANSWER_CORRECTION;
 }
 
-/* Is the estimate finite, and the flux plausible? */
-static bool is_plausible(const fo_adaptive_state *s)
+bool fo_adaptive_learn(const fo_adaptive *a, fo_adaptive_state *state)
 {
-    fo_real sum = s->noise_level + s->innovation_power + s->variance_across;
-    for (int i = 0; i < FO_NP; i++) {
-        sum += s->p[i];
-    }
-    for (int i = 0; i < FO_N; i++) {
-        sum += s->drift[i];
-    }
-    return sum - sum == ZERO && dot(s->flux, s->flux) < RUNAWAY;
-}
-
-fo_real fo_learning_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_interval *t,
-                           bool measured)
-{
-    const fo_observer *o = &a->plain;
-    fo_block *b = &s->now.block;
-    linearisation_point point;
-    linearise_map_at_filter(a, s);
-    for (int i = 0; i < FO_N; i++) {
-        s->flux[i] += t->v[i] + o->h * s->drift[i];
-        for (int j = FO_RESISTANCE; j < (int)FO_NP; j++) {
-            b->sensitivity[j][i] += t->sensitivity[j][i];
-        }
-    }
-    b->time += o->h;
-    b->unmodelled += o->h * fo_learning_unmodelled_voltage(a, s);
-    linearise(a, s, &point);
-    bool plausible = point.length * point.length > o->square_min / (fo_real)16;
-    if (plausible) {
-        if (measured) {
-            add_sample(a, s, &point, b);
-        }
-        const fo_real theta = fo_atan2(point.x[1], point.x[0]);
-        const fo_real turned = fo_abs(wrap(theta - b->theta));
-        s->theta = theta;
-        if (turned >= BLOCK || b->time >= BLOCK_MAX) {
-            finish_block(a, s, t, turned);
-            linearise(a, s, &point);
-        } else if (fo_learning_variance_growth(a, s) > GROWTH_MAX * s->variance_across) {
-            update_marginal_variance(a, s, &point);
+    fo_mail *m = &state->mail;
+    fo_learner *s = &state->learner;
+    const bool work = FO_ACQUIRE(m->owner) == FO_MAIL_WITH_LEARNER;
+    if (work) {
+        fo_answer answer;
+        (void)memset(&answer, 0, sizeof answer);
+        if (m->searching) {
+            fo_candidates_learn(a, s, &state->now.search, m, &answer);
         } else {
-            /* the last variance is still valid */
+            learn_block(a, s, m, &answer);
         }
-        const fo_real change =
-            a->std[FO_INDUCTANCE + 1] * (point.armature_flux[1] - s->armature_flux_q);
-        s->variance_by_L_q_now = s->variance_by_L_q + change * change;
-        s->x[0] = point.direction[0];
-        s->x[1] = point.direction[1];
-        plausible = is_plausible(s) && point.length > ZERO;
+        answer.report = s->report;
+        (void)memcpy(answer.means, s->means, sizeof answer.means);
+        m->data.answer = answer;
+        FO_RELEASE(m->owner, FO_MAIL_ANSWERED);
     }
-    return plausible ? point.length : ZERO;
+    return work;
 }

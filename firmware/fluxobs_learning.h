@@ -1,4 +1,5 @@
-/* The adaptive observer's filter and its parameters, in one information factor; not for users.
+/* The learner: start, filter and parameters of the adaptive observer in one information factor; not
+ * for users.
  *
  * SPDX-License-Identifier: MIT
  */
@@ -9,66 +10,70 @@
 
 #define fo_learning_reset FO_NAME(fo_learning_reset)
 #define fo_learning_start FO_NAME(fo_learning_start)
-#define fo_learning_step FO_NAME(fo_learning_step)
-#define fo_learning_variance_growth FO_NAME(fo_learning_variance_growth)
-#define fo_learning_update_emf_ratio FO_NAME(fo_learning_update_emf_ratio)
-#define fo_learning_unmodelled_voltage FO_NAME(fo_learning_unmodelled_voltage)
-#define fo_learning_value FO_NAME(fo_learning_value)
+#define fo_learning_values FO_NAME(fo_learning_values)
 #define fo_learning_std FO_NAME(fo_learning_std)
+#define fo_learning_update_voltage_std FO_NAME(fo_learning_update_voltage_std)
 #define fo_learning_widen_resistance FO_NAME(fo_learning_widen_resistance)
 #define fo_learning_prior_means FO_NAME(fo_learning_prior_means)
 #define fo_learning_move_prior_means FO_NAME(fo_learning_move_prior_means)
 
+/* Rotation over which residuals are averaged to one measurement row [rad]: an eighth of a turn.
+ * Model errors are functions of the angle with harmonics up to the sixth. Rows of shorter blocks
+ * would repeat the same error and count as new information. */
+#define BLOCK (PI / (fo_real)4)
+/* Time after which a block ends if the rotor is slow [memories]. The weight of its row is the share
+ * of BLOCK that the rotor has turned. */
+#define BLOCK_MAX ((fo_real)0.3)
+/* Change of the current as a share of the rated current, or of the speed as a share of itself, that
+ * makes a new operating point [1]. Rows at one operating point repeat the same error: the n-th row
+ * counts 1/n. */
+#define NEW_POINT ((fo_real)0.3)
+/* Share of the inverter's voltage that the model of the loss does not describe [1]. */
+#define INVERTER_UNMODELLED ((fo_real)0.05)
+/* Additional share of the difference between the two signs, which is largest within the knee
+ * [1]. */
+#define KNEE_UNMODELLED ((fo_real)0.3)
 /* Parameter-to-EMF ratio above which another angle explains the data equally well [1]. At twice
  * this ratio, which is four stds, the EMF could have the opposite direction. */
 #define EMF_RATIO_LIMIT ((fo_real)0.5)
 
-/* One interval, per-unit: its volt-seconds, corrected by the parameters, and the change of the
- * volt-seconds with one prior std of each parameter. */
-typedef struct {
-    fo_real v[FO_N];
-    fo_real sensitivity[FO_NP][FO_N];
-} fo_interval;
+/* Owners of the mail. */
+enum { FO_MAIL_FREE, FO_MAIL_WITH_LEARNER, FO_MAIL_ANSWERED };
+
+/* The map at the end of a block. */
+static inline const fo_map_point *map_of(const fo_block_end *end)
+{
+#if FO_MAPPED
+    return &end->map_point;
+#else
+    (void)end;
+    return NULL;
+#endif
+}
 
 /* Resets the parameters to their prior. */
-void fo_learning_reset(const fo_adaptive *observer, fo_adaptive_state *state);
+void fo_learning_reset(const fo_adaptive *observer, fo_learner *learner);
 
 /* Starts the filter at a candidate, with the covariance of its Gauss-Newton fit times `inflation`.
- * `interval` is the last interval. The parameters keep their estimates. */
-void fo_learning_start(const fo_adaptive *observer, fo_adaptive_state *state,
+ * The parameters keep their estimates. */
+void fo_learning_start(const fo_adaptive *observer, fo_learner *learner,
                        const fo_candidate *candidate, const fo_manifold *information,
-                       fo_real inflation, const fo_interval *interval);
+                       fo_real inflation, const fo_block_end *end);
 
-/* Steps the filter over an interval. If the interval ends a block, updates the filter by the
- * block's row. Returns the length of the position vector, or 0 if the state has become
- * implausible. */
-fo_real fo_learning_step(const fo_adaptive *observer, fo_adaptive_state *state,
-                         const fo_interval *interval, bool measured);
+/* Estimated errors of the parameters [their units]. */
+void fo_learning_values(const fo_adaptive *observer, const fo_learner *learner,
+                        fo_real value[FO_NP]);
 
-/* Variance of the flux that the parameters may have added after the computation of
- * variance_across. */
-fo_real fo_learning_variance_growth(const fo_adaptive *a, const fo_adaptive_state *state);
+/* Standard deviation of the sum of `count` parameters from n on [their unit]. */
+fo_real fo_learning_std(const fo_adaptive *observer, const fo_learner *learner, int n, int count);
 
-/* Updates the parameter-to-EMF ratio: the angle by which parameter errors may have turned the flux.
- * The ratio accumulates until the rotor has turned by a radian. */
-void fo_learning_update_emf_ratio(const fo_adaptive *observer, fo_adaptive_state *state,
-                                  const fo_interval *interval, fo_real length, fo_real turned);
-
-/* Voltage of the inverter that the model does not describe, per-unit. */
-fo_real fo_learning_unmodelled_voltage(const fo_adaptive *observer, const fo_adaptive_state *state);
-
-/* Estimate of a parameter [its unit]. */
-fo_real fo_learning_value(const fo_adaptive *observer, const fo_adaptive_state *state, int n);
-
-/* Standard deviation of the sum of `count` parameters from n on, plus `curve` times the inverter's
- * curve [their unit]. */
-fo_real fo_learning_std(const fo_adaptive *observer, const fo_adaptive_state *state, int n,
-                        int count, fo_real curve);
+/* Updates the std of the voltage at this current due to errors of the parameters. */
+void fo_learning_update_voltage_std(const fo_adaptive *observer, fo_learner *learner,
+                                    const fo_block_end *end);
 
 /* Adds process noise of this std, in prior stds, to the resistance, which may have changed with the
  * temperature. */
-void fo_learning_widen_resistance(const fo_adaptive *observer, fo_adaptive_state *state,
-                                  fo_real stds);
+void fo_learning_widen_resistance(const fo_adaptive *observer, fo_learner *learner, fo_real stds);
 
 /* Prior means that may change with a new configuration: magnet flux, resistance [Ohm], half the
  * inverter's loss [V]. */
@@ -76,8 +81,8 @@ enum { FO_PRIOR_MEANS = 3 };
 void fo_learning_prior_means(const fo_adaptive *observer, fo_real means[FO_PRIOR_MEANS]);
 
 /* Keeps the estimates if the prior means have changed: the estimated errors change by the opposite
- * amount. */
-void fo_learning_move_prior_means(const fo_adaptive *observer, fo_adaptive_state *state,
-                                  const fo_real before[FO_PRIOR_MEANS]);
+ * amount. Adds the changes of the filter's flux and drift. */
+void fo_learning_move_prior_means(const fo_adaptive *observer, fo_learner *learner,
+                                  fo_real flux[FO_N], fo_real drift[FO_N]);
 
 #endif

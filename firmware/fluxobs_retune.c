@@ -65,7 +65,7 @@ static bool same_learnt_units(const fo_adaptive *a, const fo_adaptive *b)
 {
     bool good = same_units(&a->plain, &b->plain) && equal(a->saliency, b->saliency) &&
                 equal(a->plain.L_position, b->plain.L_position);
-    for (int i = 0; i < (int)FO_CURVE; i++) {
+    for (int i = 0; i < (int)FO_NP; i++) {
         good = good && equal(a->std[i], b->std[i]);
     }
     return good;
@@ -97,13 +97,22 @@ const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *r, fo_adaptive_state 
 {
     const uint32_t ready = r->ready;
     FO_BARRIER();
-    if (ready != r->active) {
-        fo_real means[FO_PRIOR_MEANS];
-        fo_learning_prior_means(&r->both[r->active], means);
-        fo_learning_move_prior_means(&r->both[ready], s, means);
+    if (ready != r->active) { /* the estimates stay: their errors change by the opposite amount */
+        fo_real before[FO_PRIOR_MEANS], now[FO_PRIOR_MEANS];
+        fo_learning_prior_means(&r->both[r->active], before);
+        fo_learning_prior_means(&r->both[ready], now);
+        s->value[FO_PSI] += before[0] - now[0];
+        s->value[FO_RESISTANCE] += before[1] - now[1];
+        s->value[FO_INVERTER] += before[2] - now[2];
+        s->value[FO_INVERTER + 1] += before[2] - now[2];
     }
     r->active = ready;
     return &r->both[ready];
+}
+
+const fo_adaptive *fo_adaptive_in_use(const fo_adaptive_retunable *r)
+{
+    return &r->both[r->active];
 }
 #endif
 

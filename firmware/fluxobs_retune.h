@@ -27,11 +27,13 @@ extern "C" {
 #define fo_adaptive_retunable_init FO_NAME(fo_adaptive_retunable_init_asymmetric)
 #define fo_adaptive_retune FO_NAME(fo_adaptive_retune_asymmetric)
 #define fo_adaptive_take FO_NAME(fo_adaptive_take_asymmetric)
+#define fo_adaptive_in_use FO_NAME(fo_adaptive_in_use_asymmetric)
 #else
 #define fo_adaptive_retunable FO_NAME(fo_adaptive_retunable)
 #define fo_adaptive_retunable_init FO_NAME(fo_adaptive_retunable_init)
 #define fo_adaptive_retune FO_NAME(fo_adaptive_retune)
 #define fo_adaptive_take FO_NAME(fo_adaptive_take)
+#define fo_adaptive_in_use FO_NAME(fo_adaptive_in_use)
 #endif
 
 /* Keeps the order of memory accesses before and after this barrier, also for other cores. */
@@ -78,6 +80,10 @@ void fo_adaptive_retunable_init(fo_adaptive_retunable *retunable, const fo_adapt
 fo_error fo_adaptive_retune(fo_adaptive_retunable *retunable, const fo_config *config,
                             const fo_adaptive_config *adaptive);
 const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *retunable, fo_adaptive_state *state);
+
+/* For the task that calls fo_adaptive_learn, in which also fo_adaptive_retune must be called: the
+ * observer in use. */
+const fo_adaptive *fo_adaptive_in_use(const fo_adaptive_retunable *retunable);
 #endif
 
 /* ---- an estimate for slower tasks -------------------------------------------------------- */

@@ -156,9 +156,9 @@ static void start_filter(const fo_adaptive *a, fo_adaptive_state *s, const seed_
     point = *seed;
 
     /* The filter's flux includes the estimated errors of inductance and offsets. */
-    const fo_real wrong = fo_learning_value(a, s, FO_INDUCTANCE + 1);
+    const fo_real wrong = s->value[FO_INDUCTANCE + 1];
     for (int i = 0; i < FO_N; i++) {
-        const fo_real offset = fo_learning_value(a, s, FO_OFFSET + i);
+        const fo_real offset = s->value[FO_OFFSET + i];
         if (!has_map(o)) {
             point.flux[i] += o->L_position * (wrong * (current[i] - offset) - offset);
         }
@@ -180,17 +180,31 @@ static void start_filter(const fo_adaptive *a, fo_adaptive_state *s, const seed_
         row_of_seed(&point, along == 1, row, &information);
         fo_add_row_to(FO_NM, m.U, m.d, m.z, 0, FO_NM, row, &value, &information);
     }
-    fo_interval none;
-    (void)memset(&none, 0, sizeof none);
-    s->tracker = s->plain.tracker;
-    s->emf_ratio = ZERO; /* no error has turned the flux yet */
-    fo_learning_start(a, s, &c, &m, ONE, &none);
-
-    /* Std of the voltage due to the parameters, until the first block ends. */
+    /* No error has turned the flux yet. The std of the voltage holds until the first block ends. */
+    fo_block_end end;
+    fo_learner *r = &s->learner;
+    (void)memset(&end, 0, sizeof end);
+    for (int i = 0; i < FO_N; i++) {
+        end.flux[i] = c.p[i];
+        end.current[i] = current[i];
+        s->flux[i] = c.p[i];
+    }
+    end.speed = s->plain.tracker.speed;
     const fo_real drop = a->std[FO_RESISTANCE] * fo_sqrt(dot(current, current));
     const fo_real loss = a->std[FO_INVERTER] * TWO;
-    s->voltage_std = fo_sqrt(drop * drop + loss * loss) * a->volt / o->h;
-    s->voltage_std_square = dot(current, current);
+    fo_learning_start(a, r, &c, &m, ONE, &end);
+    r->report.voltage_std = fo_sqrt(drop * drop + loss * loss) * a->volt / o->h;
+    r->report.voltage_std_square = dot(current, current);
+    r->report.growth = r->report.voltage_std * r->report.voltage_std;
+    fo_learning_values(a, r, s->value);
+    s->report = r->report;
+    s->tracker = s->plain.tracker;
+    s->emf_ratio = ZERO;
+    s->theta = point.theta;
+    s->x[0] = point.direction[0];
+    s->x[1] = point.direction[1];
+    s->running = true;
+    s->place = false;
 }
 
 void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo_seed *seed,
@@ -200,7 +214,7 @@ void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo
     if (is_never_reset(&s->plain)) {
         fo_adaptive_reset(a, s);
     } else {
-        fo_adaptive_restart(a, s, s->frozen);
+        fo_adaptive_restart(a, s, s->learner.frozen);
     }
     s->seeded = seed_plain(&a->plain, &s->plain, seed, current, &point);
     if (s->seeded && point.std < START_STD && !has_map(&a->plain)) {
@@ -208,7 +222,6 @@ void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo
     } else if (s->seeded) { /* too uncertain for the filter: the first candidate is here */
         s->x[0] = point.direction[0];
         s->x[1] = point.direction[1];
-        fo_candidates_place(a, s);
     } else {
         /* the seed is unusable: the state is only reset */
     }

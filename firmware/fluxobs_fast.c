@@ -1,0 +1,888 @@
+/* The adaptive observer's interrupt: the plain observer's step, integration, and the sums of a
+ * block.
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#include "fluxobs_adaptive.h"
+
+#include "fluxobs_internal.h"
+#include "fluxobs_learning.h"
+#include "fluxobs_relation.h"
+
+#include <string.h>
+
+/* ---- thresholds: unit, reason, and what determined their value ----------------------------- */
+
+/* Voltage error outside the model while a position is valid [1]: the residual does not show the
+ * slow turn that this error causes. */
+static const fo_real VOLTAGE_TURN = (fo_real)0.05;
+/* Std of the angle above which the linearisation fails [rad]: 30 degrees. */
+static const fo_real STD_LOST = PI / (fo_real)6;
+/* Std of a valid angle, including errors of inductance and lag [rad]: 10 degrees. */
+static const fo_real STD_ALL = PI / (fo_real)18;
+/* Rows of the filter before its position may be valid [1]: half a turn. */
+static const fo_real PROVEN_AFTER = (fo_real)4;
+/* Rows of the filter before its std may stop it [1]: two turns. A start at a std of 20 degrees
+ * weighs its first rows little, because the relation is not linear over 20 degrees. */
+static const fo_real LOST_AFTER = (fo_real)16;
+/* Samples in a row without a certain position after which the position must be confirmed again. */
+static const uint32_t UNCERTAIN_AFTER = (uint32_t)FO_MAX_CONSECUTIVE_BAD;
+/* A position is not valid if the power of its innovations exceeds this limit [1]: three stds. */
+static const fo_real CONTRADICTION = (fo_real)9;
+/* If the filter loses the position within this many rows (two turns), its parameters are reset
+ * [1]. */
+static const fo_real EARLY_ROWS = (fo_real)16;
+/* The filter is wrong if the power of its innovations exceeds this limit [1]: ten stds. */
+static const fo_real INNOVATION_POWER_MAX = (fo_real)100;
+/* The filter is wrong if a parameter is this many stds from its prior [1]. */
+static const fo_real PARAMETER_STDS_MAX = (fo_real)4;
+/* The filter is wrong if its angle differs from the guard's by 20 degrees for a turn [rad, rad]. */
+static const fo_real DISAGREEMENT = PI / (fo_real)9;
+static const fo_real DISAGREEMENT_TURN = TWO * PI;
+
+
+/* ---- the inverter --------------------------------------------------------------------- */
+
+/* tanh(x) to within 0.0014 by its Pade approximant, clipped where the approximant reaches 1. */
+static fo_real soft_sign(fo_real x)
+{
+    const fo_real square = x * x;
+    fo_real sign = x > ZERO ? ONE : -ONE;
+    if (square < (fo_real)13.298) {
+        sign = x * ((fo_real)945 + square * ((fo_real)105 + square)) /
+               ((fo_real)945 + square * ((fo_real)420 + (fo_real)15 * square));
+    }
+    return sign;
+}
+
+/* Computes the amplitude-invariant vector of the soft signs of the phase currents. Adds the
+ * vector's derivative by the current (alpha alpha, alpha beta, beta beta) times `volts` to
+ * `gradient`. */
+static void soft_signs(const fo_real current[FO_N], fo_real over, fo_real volts,
+                      fo_real signs[FO_N], fo_real gradient[3])
+{
+    const fo_real half = current[0] / TWO, root = (fo_real)0.8660254037844386 * current[1];
+    const fo_real phases[3] = {soft_sign(current[0] * over), soft_sign((root - half) * over),
+                               soft_sign((-root - half) * over)};
+    fo_real slope[3];
+    for (int i = 0; i < 3; i++) {
+        slope[i] = volts * over * (ONE - phases[i] * phases[i]);
+    }
+    signs[0] = (TWO * phases[0] - phases[1] - phases[2]) / (fo_real)3;
+    signs[1] = (phases[1] - phases[2]) * (fo_real)0.5773502691896258;
+    gradient[0] += ((fo_real)4 * slope[0] + slope[1] + slope[2]) / (fo_real)6;
+    gradient[1] += (slope[2] - slope[1]) * (fo_real)0.2886751345948129;
+    gradient[2] += (slope[1] + slope[2]) / TWO;
+}
+
+/* Estimated voltage of one part of the inverter's loss [V]. */
+static fo_real inverter_loss_part(const fo_adaptive *a, const fo_adaptive_state *s, int n)
+{
+    return a->inverter_mean + s->value[FO_INVERTER + n];
+}
+
+/* Voltage lost in the interval that ends with this current, in addition to the assumed resistance's
+ * drop. The estimates of resistance error and inverter loss determine it; the asymmetry is not
+ * included. Stores the signs. */
+static void predicted_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_real current[FO_N],
+                       fo_real loss[FO_N])
+{
+    const fo_state *q = &s->plain;
+    fo_real mean[FO_N], without_offset[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        mean[i] = current[i];
+        if (q->have_current) {
+            mean[i] = mean_current_24(current[i], q->current[0][i], q->current[1][i],
+                                      q->current[2][i]) /
+                      (fo_real)24;
+        }
+    }
+    if (!(dot(mean, mean) <= a->plain.current_limit * a->plain.current_limit)) {
+        mean[0] = q->current[0][0]; /* the current is not finite, or absurd */
+        mean[1] = q->current[0][1];
+    }
+    for (int i = 0; i < FO_N; i++) {
+        without_offset[i] = mean[i] - s->value[FO_OFFSET + i];
+        loss[i] = s->value[FO_RESISTANCE] * mean[i];
+    }
+    (void)memset(s->sign_gradient, 0, sizeof s->sign_gradient);
+    for (int n = 0; n < 2; n++) {
+        const fo_real volts = inverter_loss_part(a, s, n);
+        soft_signs(without_offset, a->over_current[n], volts, s->signs[n], s->sign_gradient);
+        for (int i = 0; i < FO_N; i++) {
+            loss[i] += volts * s->signs[n][i];
+        }
+    }
+    const fo_real apart[FO_N] = {s->signs[0][0] - s->signs[1][0], s->signs[0][1] - s->signs[1][1]};
+    s->knee = fo_sqrt(dot(apart, apart));
+}
+
+/* u + g conj(u) */
+static void correct_asymmetry(const fo_adaptive_state *s, const fo_real u[FO_N],
+                              fo_real corrected[FO_N]) {
+    corrected[0] = u[0];
+    corrected[1] = u[1];
+#if FO_ASYMMETRIC
+    const fo_real g0 = s->value[FO_ASYMMETRY];
+    const fo_real g1 = s->value[FO_ASYMMETRY + 1];
+    corrected[0] += g0 * u[0] + g1 * u[1];
+    corrected[1] += g1 * u[0] - g0 * u[1];
+#else
+    (void)s;
+#endif
+}
+
+
+/* ---- integration ---------------------------------------------------------------------- */
+
+/* Computes the volt-seconds v of the last interval. Adds to the block their change with one prior
+ * std of each parameter. */
+static void integrate(const fo_adaptive *a, fo_adaptive_state *s, bool complete, fo_real mean[FO_N],
+                      fo_real v[FO_N])
+{
+    fo_block *b = &s->block;
+    const fo_real *std = a->std, *gradient = s->sign_gradient;
+    fo_real mean_24[FO_N], u[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        mean_24[i] = mean_current_24(s->plain.current[0][i], s->plain.current[1][i],
+                                     s->plain.current[2][i], s->plain.current[3][i]);
+        mean[i] = mean_24[i] / (fo_real)24;
+    }
+    for (int i = 0; i < FO_N; i++) {
+        const fo_real drop = row_of(a->plain.hR, i, mean_24);
+        fo_real(*to)[FO_N] = b->sensitivity;
+        v[i] = s->plain.source[i] - (complete ? ZERO : drop);
+        u[i] = s->plain.source[i] + (complete ? drop : ZERO);
+        to[0][i] -= std[FO_RESISTANCE] * a->volt * mean[i];
+        to[1][i] -= std[FO_INVERTER] * a->volt * s->signs[0][i];
+        to[2][i] -= std[FO_INVERTER + 1] * a->volt * s->signs[1][i];
+        to[3][i] += std[FO_OFFSET] * a->volt * gradient[i];
+        to[4][i] += std[FO_OFFSET + 1] * a->volt * gradient[1 + i];
+    }
+#if FO_ASYMMETRIC
+    b->sensitivity[5][0] += std[FO_ASYMMETRY] * u[0];
+    b->sensitivity[5][1] -= std[FO_ASYMMETRY] * u[1];
+    b->sensitivity[6][0] += std[FO_ASYMMETRY + 1] * u[1];
+    b->sensitivity[6][1] += std[FO_ASYMMETRY + 1] * u[0];
+#else
+    (void)u;
+#endif
+    b->time += a->plain.h;
+}
+
+/* Updates the parameter-to-EMF ratio: the angle by which parameter errors may have turned the flux.
+ * The ratio accumulates until the rotor has turned by a radian. */
+static void update_emf_ratio(const fo_adaptive *a, fo_adaptive_state *s, fo_real length,
+                             fo_real turned)
+{
+    const fo_real before = s->report.voltage_std_square;
+    const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
+    fo_real flux_std = s->report.voltage_std * a->plain.h;
+    if (square > before && before > ZERO) { /* larger now */
+        flux_std *= fo_sqrt(square / before);
+    }
+    const fo_real decay = turned < ONE ? turned : ONE;
+    const fo_real growth = length > ZERO ? flux_std / length : ONE;
+    const fo_real ratio = s->emf_ratio + growth - s->emf_ratio * decay;
+    s->emf_ratio = ratio < TWO ? ratio : TWO;
+    if (!(a->std[FO_RESISTANCE] + a->std[FO_INVERTER] > ZERO)) { /* both are known */
+        s->emf_ratio = ZERO;
+    }
+}
+
+/* Linearises the map at the filter's own angle, because the guard's angle may differ. A cage's map
+ * does not depend on the angle. */
+static const fo_map_point *linearise_map(const fo_adaptive *a, fo_adaptive_state *s)
+{
+#if FO_MAPPED
+    const fo_observer *o = &a->plain;
+    if (has_map(o) && s->running && !has_cage_map(o) && !s->plain.has_external_angle) {
+        fo_linearise_map(o, predicted_angle(o, &s->tracker), s->plain.current[0], &s->map_point);
+    } else {
+        s->map_point = s->plain.map_point;
+    }
+    return &s->map_point;
+#else
+    (void)a;
+    (void)s;
+    return NULL;
+#endif
+}
+
+/* ---- the mail to the learner ----------------------------------------------------------- */
+
+static void clear_block(fo_adaptive_state *s)
+{
+    (void)memset(&s->block, 0, sizeof s->block);
+    if (s->running) {
+        (void)memset(&s->now.sums, 0, sizeof s->now.sums);
+    }
+}
+
+/* Sends the block to the learner, which must have no mail. */
+static void post(fo_adaptive_state *s, const fo_real mean[FO_N])
+{
+    fo_mail *m = &s->mail;
+    fo_block_end *end = &m->end;
+    const fo_state *q = &s->plain;
+    m->searching = !s->running;
+    m->place = s->place;
+    m->forget = s->forget;
+    m->block = s->block;
+    for (int i = 0; i < FO_N; i++) {
+        end->flux[i] = s->flux[i];
+        end->current[i] = q->current[0][i];
+        end->mean_current[i] = mean[i];
+        end->signs[0][i] = s->signs[0][i];
+        end->signs[1][i] = s->signs[1][i];
+    }
+    end->noise_inflation = q->noise_inflation;
+    end->emf_ratio = s->emf_ratio;
+    end->speed = s->tracker.speed;
+#if FO_MAPPED
+    end->map_point = s->map_point;
+#endif
+    if (s->running) {
+        m->data.sums = s->now.sums;
+    } else {
+        fo_search_data *data = &m->data.search;
+        data->info = q->info;
+        data->power = q->power;
+        for (int i = 0; i < FO_N; i++) {
+            data->flux[i] = q->x[FLUX + i];
+            data->drift[i] = q->x[DRIFT + i];
+            data->direction[i] = s->x[i];
+        }
+        data->rotation = s->rotation;
+        data->trusted = q->trusted;
+        data->settled = s->tracker.settled >= TRACKER_SETTLED;
+    }
+    clear_block(s);
+    s->place = false;
+    s->forget = false;
+    FO_RELEASE(m->owner, FO_MAIL_WITH_LEARNER);
+}
+
+/* Moves the sums of the present block to the corrected flux, drift and parameters. */
+static void correct_residuals(const fo_adaptive *a, fo_sums *sums, const fo_answer *c)
+{
+    const fo_real psi = a->std[FO_PSI] * c->change[FO_PSI];
+    for (int w = 0; w < (int)FO_NW; w++) {
+        const fo_real *h = w == 0 ? sums->h : &sums->hh[w - 1];
+        const fo_real *th = w == 0 ? sums->th : &sums->thh[w - 1];
+        const fo_real weight = w == 0 ? (fo_real)sums->samples : sums->h[w - 1];
+        fo_real sum = dot(h, c->flux) + dot(th, c->drift) - psi * weight;
+        for (int j = 1; j < (int)FO_NP; j++) {
+            sum += sums->by_parameter[j - 1][w] * c->change[j];
+        }
+        sums->residual[w] += sum;
+    }
+}
+
+static void take_values(const fo_adaptive *a, fo_adaptive_state *s, const fo_answer *c)
+{
+    fo_real now[FO_PRIOR_MEANS];
+    fo_learning_prior_means(a, now); /* they differ from the learner's just after a retuning */
+    s->report = c->report;
+    for (int j = 0; j < (int)FO_NP; j++) {
+        s->value[j] = c->value[j];
+    }
+    s->value[FO_PSI] += c->means[0] - now[0];
+    s->value[FO_RESISTANCE] += c->means[1] - now[1];
+    s->value[FO_INVERTER] += c->means[2] - now[2];
+    s->value[FO_INVERTER + 1] += c->means[2] - now[2];
+}
+
+/* Corrects flux, drift and parameters since the end of the learner's block. */
+static void take_correction(const fo_adaptive *a, fo_adaptive_state *s, const fo_answer *c)
+{
+    const fo_block *b = &s->block;
+    correct_residuals(a, &s->now.sums, c);
+    for (int i = 0; i < FO_N; i++) {
+        fo_real flux = s->flux[i] + c->flux[i] + b->time * c->drift[i];
+        for (int j = 0; j < (int)FO_NS; j++) {
+            flux += b->sensitivity[j][i] * c->change[FO_RESISTANCE + j];
+        }
+        s->flux[i] = flux;
+        s->drift[i] += c->drift[i];
+    }
+    take_values(a, s, c);
+}
+
+/* Takes a candidate, or starts the filter from it. */
+static void take_candidate(const fo_adaptive *a, fo_adaptive_state *s, const fo_answer *c)
+{
+    s->has_candidate = c->kind != FO_ANSWER_NONE;
+    s->other_weight = c->other_weight;
+    s->other_theta = c->other_theta;
+    if (s->has_candidate) {
+        for (int i = 0; i < FO_N; i++) {
+            s->flux[i] = c->flux[i] + s->block.volt_seconds[i] + s->block.time * c->drift[i];
+            s->drift[i] = c->drift[i];
+        }
+        s->length = c->length;
+        s->variance = c->variance;
+    }
+    if (c->other_direction) {
+        s->tracker.settled = ZERO;
+    }
+    if (c->kind == FO_ANSWER_START) {
+        s->running = true;
+        s->voltage_turn = ZERO;
+        s->disagreement = ZERO;
+        s->block.turned = ZERO;
+        (void)memset(&s->now.sums, 0, sizeof s->now.sums);
+        if (a->projection == FO_PROJECT_NEVER) {
+            s->tracker = s->plain.tracker;
+        }
+    }
+    take_values(a, s, c);
+}
+
+/* Takes the learner's answer. Returns whether the answer is implausible. */
+static bool receive(const fo_adaptive *a, fo_adaptive_state *s)
+{
+    bool wrong = false;
+    if (FO_ACQUIRE(s->mail.owner) == FO_MAIL_ANSWERED) {
+        const fo_answer *answer = &s->mail.data.answer;
+        if (s->discard) {
+            s->discard = false;
+        } else if (answer->kind == FO_ANSWER_CORRECTION) {
+            wrong = answer->wrong;
+            if (!wrong) {
+                take_correction(a, s, answer);
+            }
+        } else {
+            take_candidate(a, s, answer);
+        }
+        s->mail.owner = FO_MAIL_FREE;
+    }
+    return wrong;
+}
+
+/* Stops the filter; the learner shall place new candidates. The parameters keep their estimates
+ * unless the filter was wrong. */
+static void stop_filter(const fo_adaptive *a, fo_adaptive_state *s, bool wrong)
+{
+    s->running = false;
+    s->has_candidate = false;
+    s->rotation = ZERO;
+    s->other_weight = ONE / TWO;
+    s->place = true;
+    s->discard = s->mail.owner != FO_MAIL_FREE;
+    clear_block(s);
+    if (wrong) {
+        s->restarts++;
+    }
+    if (wrong && !s->learner.frozen) {
+        fo_learning_report *r = &s->report;
+        s->forget = true;
+        (void)memset(s->value, 0, sizeof s->value);
+        r->reported_std[0] = a->std[FO_PSI];
+        r->reported_std[1] = a->std[FO_RESISTANCE];
+        r->reported_std[2] = fo_sqrt(TWO) * a->std[FO_INVERTER];
+        r->voltage_std = ZERO;
+        s->emf_ratio = TWO;
+    }
+}
+
+/* ---- estimates ------------------------------------------------------------------------ */
+
+/* Std of an angle with this variance: at most the std of an unknown angle. */
+static fo_real capped_std(fo_real variance)
+{
+    return fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
+}
+
+/* Writes the parameters into the estimate. */
+static void write_parameters(const fo_adaptive *a, const fo_adaptive_state *s,
+                              fo_adaptive_estimate *e)
+{
+    e->psi_f_std = s->report.reported_std[0] * a->plain.flux_base;
+    e->resistance_error = s->value[FO_RESISTANCE];
+    e->resistance_std = s->report.reported_std[1];
+    e->inverter_voltage = inverter_loss_part(a, s, 0) + inverter_loss_part(a, s, 1);
+    e->inverter_std = s->report.reported_std[2];
+}
+
+/* Why the filter's position is not valid. `all` is the variance of its angle, `variance` the part
+ * that measurements reduce. */
+static fo_reason judge_filter(const fo_adaptive_state *s, fo_real variance, fo_real all)
+{
+    fo_reason reason = FO_VALID;
+    if (!(s->tracker.settled >= TRACKER_SETTLED)) {
+        reason = FO_SETTLING;
+    } else if (!(s->emf_ratio < EMF_RATIO_LIMIT)) {
+        reason = FO_SLOW;
+    } else if (!(s->report.innovation_power < CONTRADICTION)) {
+        reason = FO_CONTRADICTED;
+    } else if (!(variance < STD_LIMIT * STD_LIMIT && all < STD_ALL * STD_ALL)) {
+        reason = FO_UNCERTAIN;
+    } else {
+        /* valid */
+    }
+    return reason;
+}
+
+/* Writes the filter's estimate, with this length of the position vector and this variance of the
+ * angle. `fixed` is the variance due to errors that measurements do not reduce: of L_q and of the
+ * considered parameters. */
+static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length,
+                   fo_real variance, fo_real fixed, fo_adaptive_estimate *e)
+{
+    const fo_observer *o = &a->plain;
+    fo_estimate *q = &e->position;
+    const fo_real all = variance + fixed;
+    for (int i = 0; i < FO_N; i++) {
+        q->flux[i] = s->flux[i] * o->flux_base;
+        q->drift[i] = s->drift[i] * o->drift_base;
+    }
+    q->psi_f = length * o->flux_base;
+    q->theta_e = s->theta;
+    q->theta_e_tracked = s->tracker.angle;
+    q->speed_e = s->tracker.speed;
+    q->theta_e_std = capped_std(all);
+    q->noise_share = ZERO;
+    set_reason(q, judge_filter(s, variance, all));
+    e->psi_f = (a->psi + s->value[FO_PSI]) * o->flux_base;
+#if FO_MAPPED
+    if (has_cage_map(o)) {
+        e->psi_f += s->plain.map_point.active_flux * o->flux_base;
+    }
+#endif
+    e->drift_std = o->drift_prior_std * o->drift_base * s->report.drift_std;
+    e->theta_other = q->theta_e;
+    e->weight_other = ZERO;
+}
+
+/* Are all numbers of an estimate finite? */
+static bool is_finite_estimate(const fo_adaptive_estimate *e)
+{
+    const fo_estimate *q = &e->position;
+    const fo_real sum = q->flux[0] + q->flux[1] + q->drift[0] + q->drift[1] + q->psi_f +
+                        q->theta_e + q->speed_e + q->theta_e_std + e->psi_f + e->psi_f_std +
+                        e->drift_std + e->resistance_error + e->resistance_std +
+                        e->inverter_voltage + e->inverter_std;
+    return sum - sum == ZERO;
+}
+
+/* Writes the plain observer's position. The plain observer's std does not include the parameters,
+ * so their part is added. */
+static void use_plain_estimate(const fo_adaptive_state *s, const fo_estimate *plain,
+                        fo_adaptive_estimate *e)
+{
+    fo_estimate *q = &e->position;
+    *q = *plain;
+    q->theta_e_std =
+        capped_std(plain->theta_e_std * plain->theta_e_std + s->emf_ratio * s->emf_ratio);
+    if (q->valid && !(q->theta_e_std < STD_LIMIT)) {
+        set_reason(q, FO_UNCERTAIN);
+    }
+}
+
+/* Variance of the angle due to considered parameters that leave no residual at constant speed and
+ * load: lags of voltages and currents, unequal gains of the current sensors, iron loss, harmonics
+ * of the magnet flux. `square` is that of the position vector. */
+static fo_real considered_variance(const fo_adaptive *a, const fo_adaptive_state *s, fo_real square)
+{
+    const fo_observer *o = &a->plain;
+    const fo_real *current = s->plain.current[0];
+    const fo_real speed = s->tracker.speed, late = a->lag_std * speed, delay = a->delay_std * speed;
+    const fo_real armature = o->L_position * o->L_position * dot(current, current);
+    const fo_real fluxes = armature * (delay * delay + a->current_gain_std * a->current_gain_std) +
+                           a->iron_flux * a->iron_flux + a->magnet_error * a->magnet_error;
+    return late * late + fluxes / square + cage_ripple_variance(o, speed);
+}
+
+/* Variance of the flux across the position vector, between two blocks. After a change of the load
+ * the errors of the parameters have not yet been correlated with the flux. */
+static fo_real flux_variance(const fo_adaptive *a, const fo_adaptive_state *s, bool changed)
+{
+    const fo_learning_report *r = &s->report;
+    const fo_real time = s->block.time;
+    fo_real growth = r->growth;
+    (void)a;
+    if (changed) {
+        const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
+        const fo_real ratio =
+            square > r->voltage_std_square && r->voltage_std_square > ZERO
+                ? square / r->voltage_std_square : ONE;
+        const fo_real raw = r->voltage_std * r->voltage_std * ratio;
+        growth = raw > growth ? raw : growth;
+    }
+    return r->variance_across + growth * time * time;
+}
+
+/* Is the current that of a new operating point? */
+static bool load_has_changed(const fo_adaptive *a, const fo_adaptive_state *s)
+{
+    const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
+    return fo_abs(square - s->report.voltage_std_square) * a->over_rated * a->over_rated >
+           NEW_POINT * NEW_POINT;
+}
+
+/* Writes the estimate after a step of the filter. Returns the variance of its angle without errors
+ * of inductance and lag. */
+static fo_real report_step(const fo_adaptive *a, fo_adaptive_state *s,
+                           const fo_linearisation *point, fo_real step, bool changed,
+                           fo_adaptive_estimate *e)
+{
+    const fo_observer *o = &a->plain;
+    const fo_learning_report *r = &s->report;
+    const fo_real square = point->length * point->length;
+    const fo_real inverter = (INVERTER_UNMODELLED + KNEE_UNMODELLED * s->knee) * r->loss_size * o->h;
+    const fo_real other = VOLTAGE_TURN * o->drift_prior_std * o->h;
+    s->block.unmodelled += inverter;
+    s->voltage_turn += (other + inverter) / point->length - s->voltage_turn * step;
+    const fo_real noise = o->position_noise * s->plain.noise_inflation;
+    const fo_real variance =
+        (flux_variance(a, s, changed) + noise) / square +
+        s->voltage_turn * s->voltage_turn / (fo_real)3; /* the turn is a bound: a uniform error */
+    settle_tracker(o, &s->tracker, s->theta, fo_sqrt(variance));
+    const fo_real change =
+        a->std[FO_INDUCTANCE + 1] * (point->armature_flux[1] - r->armature_flux_q);
+    write_filter_estimate(
+        a, s, point->length, variance,
+        (r->variance_by_L_q + change * change) / square + considered_variance(a, s, square), e);
+    return variance;
+}
+
+/* ---- the filter, guarded -------------------------------------------------------------- */
+
+/* Does the filter contradict its guard, its model or its prior? */
+static bool is_wrong(const fo_adaptive *a, const fo_adaptive_state *s)
+{
+    const fo_real *std = a->std, *value = s->value, most = PARAMETER_STDS_MAX;
+    return s->disagreement > DISAGREEMENT_TURN ||
+           s->report.innovation_power > INNOVATION_POWER_MAX ||
+           fo_abs(value[FO_RESISTANCE]) > most * std[FO_RESISTANCE] ||
+           fo_abs(value[FO_INDUCTANCE]) > most * std[FO_INDUCTANCE] ||
+           fo_abs(value[FO_INDUCTANCE + 1]) > most * std[FO_INDUCTANCE + 1];
+}
+
+/* Adds a sample's residual |x| - length_by_current - psi_f and its gradients to the sums. */
+static void add_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_map_point *map,
+                       const fo_linearisation *point)
+{
+    fo_sums *sums = &s->now.sums;
+    const fo_block *b = &s->block;
+    const fo_real *std = a->std, t = b->time;
+    fo_real h[FO_N], by_current[FO_N], by_parameter[FO_NP - 1];
+    fo_residual_gradients(a, map, point, h, by_current);
+    for (int j = 0; j < (int)FO_NS; j++) {
+        by_parameter[j] = dot(h, b->sensitivity[j]);
+    }
+    for (int i = 0; i < FO_N; i++) {
+        by_parameter[FO_OFFSET - 1 + i] += std[FO_OFFSET + i] * by_current[i];
+    }
+    by_parameter[FO_INDUCTANCE - 1] = -std[FO_INDUCTANCE] * point->armature_flux[0];
+    by_parameter[FO_INDUCTANCE] = -std[FO_INDUCTANCE + 1] * point->armature_flux[1] *
+                                  component_across(point->direction, h);
+    for (int j = 0; j < (int)FO_NP - 1; j++) {
+        fo_real *to = sums->by_parameter[j];
+        to[0] += by_parameter[j];
+        to[1] += by_parameter[j] * h[0];
+        to[2] += by_parameter[j] * h[1];
+    }
+    const fo_real residual =
+        point->length - point->length_by_current - (a->psi + s->value[FO_PSI]);
+    sums->residual[0] += residual;
+    sums->residual[1] += residual * h[0];
+    sums->residual[2] += residual * h[1];
+    const fo_real hh[3] = {h[0] * h[0], h[0] * h[1], h[1] * h[1]};
+    for (int i = 0; i < FO_N; i++) {
+        sums->h[i] += h[i];
+        sums->th[i] += t * h[i];
+    }
+    for (int i = 0; i < 3; i++) {
+        sums->hh[i] += hh[i];
+        sums->thh[i] += t * hh[i];
+    }
+    sums->samples++;
+}
+
+/* Integrates the filter's flux, and adds the sample to the block. Returns whether the position
+ * vector is plausible. */
+static bool step_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
+                        bool measured, fo_linearisation *point)
+{
+    const fo_observer *o = &a->plain;
+    const fo_map_point *map = linearise_map(a, s);
+    for (int i = 0; i < FO_N; i++) {
+        s->flux[i] += v[i] + o->h * s->drift[i];
+    }
+    fo_linearise(a, s->value, s->flux, s->plain.current[0], map, point);
+    const bool plausible = point->length * point->length > o->square_min / (fo_real)16 &&
+                           dot(s->flux, s->flux) < RUNAWAY;
+    if (plausible) {
+        if (measured) {
+            add_sample(a, s, map, point);
+        }
+        const fo_real theta = fo_atan2(point->x[1], point->x[0]);
+        s->block.turned += wrap(theta - s->theta);
+        s->theta = theta;
+        s->x[0] = point->direction[0];
+        s->x[1] = point->direction[1];
+    }
+    return plausible;
+}
+
+/* Processes a sample while the filter runs. `e` holds the estimate of the plain observer, the
+ * filter's guard. */
+static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
+                       const fo_real mean[FO_N], bool measured, fo_adaptive_estimate *e)
+{
+    fo_linearisation point;
+    if (step_filter(a, s, v, measured, &point)) {
+        const fo_estimate plain = e->position;
+        const fo_real turned = fo_abs(s->tracker.speed) * a->plain.sample_time;
+        const fo_real step = turned < ONE ? turned : ONE;
+        const bool changed = load_has_changed(a, s);
+        track(&a->plain, &s->tracker, s->theta);
+        update_emf_ratio(a, s, point.length, turned);
+        const fo_real variance = report_step(a, s, &point, step, changed, e);
+        const bool guarded = plain.valid;
+        const bool differs = guarded && fo_abs(wrap(s->theta - plain.theta_e)) > DISAGREEMENT;
+        s->disagreement = differs ? s->disagreement + step : guarded ? ZERO : s->disagreement;
+        write_parameters(a, s, e);
+        const bool is_finite = is_finite_estimate(e);
+        if (!is_finite) {
+            e->position = plain;
+        } else if (guarded && !(s->report.rows > PROVEN_AFTER)) {
+            use_plain_estimate(s, &plain, e);
+        } else {
+            /* report the filter's own position */
+        }
+        const bool wrong = !is_finite || is_wrong(a, s);
+        const bool lost = s->emf_ratio > ONE ||
+                          (s->report.rows > LOST_AFTER && !(variance < STD_LOST * STD_LOST));
+        const bool early = lost && s->report.rows < EARLY_ROWS &&
+                           s->report.reported_std[1] > a->std[FO_RESISTANCE] / TWO;
+        const bool ended =
+            fo_abs(s->block.turned) >= BLOCK || s->block.time >= BLOCK_MAX || changed;
+        if (wrong || lost) {
+            stop_filter(a, s, wrong || early);
+        } else if (ended && s->mail.owner == FO_MAIL_FREE) {
+            post(s, mean);
+        } else {
+            /* the block lasts until the learner is free */
+        }
+    } else {
+        stop_filter(a, s, true);
+    }
+}
+
+/* ---- the start ------------------------------------------------------------------------ */
+
+/* Writes the best candidate's position. The variance includes the weight of the second best
+ * candidate. */
+static void write_candidate(const fo_adaptive *a, const fo_adaptive_state *s, fo_estimate *q)
+{
+    const fo_real apart = wrap(s->other_theta - s->theta);
+    q->theta_e = s->theta;
+    q->theta_e_tracked = s->tracker.angle;
+    q->speed_e = s->tracker.speed;
+    q->theta_e_std = capped_std(s->variance + s->other_weight * apart * apart);
+    for (int i = 0; i < FO_N; i++) {
+        q->flux[i] = s->flux[i] * a->plain.flux_base;
+        q->drift[i] = s->drift[i] * a->plain.drift_base;
+    }
+    q->psi_f = s->length * a->plain.flux_base;
+    set_reason(q, FO_SEARCHING);
+}
+
+/* Integrates the best candidate. */
+static void step_candidate(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N])
+{
+    const fo_observer *o = &a->plain;
+    fo_real x[FO_N];
+    for (int i = 0; i < FO_N; i++) {
+        s->flux[i] += v[i] + o->h * s->drift[i];
+        x[i] = s->flux[i] - armature_flux(o, &s->plain, i);
+    }
+    const fo_real theta = fo_atan2(x[1], x[0]);
+    const bool likely = s->other_weight < ONE / TWO;
+    s->rotation = likely ? s->rotation + wrap(theta - s->theta) : ZERO;
+    s->theta = theta;
+    track(o, &s->tracker, theta);
+    settle_tracker(o, &s->tracker, theta, fo_sqrt(s->variance));
+}
+
+/* Processes a sample before the filter runs. */
+static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
+                      const fo_real mean[FO_N], fo_adaptive_estimate *e)
+{
+    fo_estimate *q = &e->position;
+    const fo_real turned =
+        s->plain.trusted ? fo_abs(s->plain.tracker.speed) * a->plain.sample_time : ZERO;
+    update_emf_ratio(a, s, s->plain.length, turned);
+    (void)linearise_map(a, s);
+    s->block.samples++;
+    for (int i = 0; i < FO_N; i++) {
+        s->block.volt_seconds[i] += v[i];
+    }
+    if (s->has_candidate) {
+        step_candidate(a, s, v);
+    } else {
+        s->rotation = ZERO;
+    }
+    s->seeded = s->seeded && !s->plain.trusted && q->theta_e_std < capped_std(VARIANCE_UNKNOWN);
+    if (a->projection != FO_PROJECT_NEVER) {
+        e->weight_other = s->other_weight;
+        if (s->has_candidate && s->other_weight < ONE / TWO) {
+            e->theta_other = s->other_theta;
+        }
+        if (s->plain.trusted) {
+            const fo_estimate plain = *q;
+            use_plain_estimate(s, &plain, e);
+        } else if (s->has_candidate && !s->seeded) {
+            write_candidate(a, s, q);
+        } else {
+            /* the estimate is still that of the plain observer */
+        }
+    }
+    if (s->mail.owner == FO_MAIL_FREE) {
+        post(s, mean);
+    }
+}
+
+/* A position that has become certain is valid once the rotor has turned by half a turn: the length
+ * of the position vector shows a wrong flux within that rotation. A position that jumps must be
+ * confirmed again. */
+static void confirm(const fo_adaptive *a, fo_adaptive_state *s, fo_estimate *q)
+{
+    const bool certain = q->valid && follows(&s->tracker, q->theta_e, q->theta_e_std);
+    s->uncertain = certain ? 0U : s->uncertain + 1U;
+    if (s->uncertain > UNCERTAIN_AFTER) {
+        s->confirmed = ZERO;
+    } else {
+        s->confirmed += fo_abs(s->tracker.speed) * a->plain.sample_time;
+    }
+    if (q->valid && !(s->confirmed > SWEEP)) {
+        set_reason(q, FO_UNCONFIRMED);
+    }
+}
+
+/* ---- samples -------------------------------------------------------------------------- */
+
+typedef struct {
+    uint32_t voltages, currents;
+} bad_samples;
+
+static bad_samples count_bad_samples(const fo_state *q)
+{
+    const bad_samples count = {q->bad_voltages, q->bad_currents + q->outliers};
+    return count;
+}
+
+/* The work of a sample after the plain observer's step. */
+static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool complete,
+                          bad_samples before, fo_adaptive_estimate *e) {
+    const bad_samples now = count_bad_samples(&s->plain);
+    const bool measured = now.currents == before.currents;
+    e->theta_other = e->position.theta_e;
+    e->weight_other = e->position.valid ? ZERO : ONE / TWO;
+    e->psi_f = e->position.psi_f;
+    e->drift_std = a->plain.drift_prior_std * a->plain.drift_base;
+    e->adapting = s->running;
+    if (s->plain.have_current && s->plain.have_voltage) {
+        fo_real v[FO_N], mean[FO_N];
+        integrate(a, s, complete, mean, v);
+        if (s->running) {
+            run_filter(a, s, v, mean, measured, e);
+        } else {
+            run_start(a, s, v, mean, e);
+        }
+    } else {
+        e->adapting = false;
+        if (!s->plain.have_current && s->running) {
+            stop_filter(a, s, false);
+        }
+        s->emf_ratio = TWO;
+    }
+    s->sample_index++;
+    if (!e->adapting || !s->running) { /* otherwise run_filter has written them */
+        write_parameters(a, s, e);
+    }
+    confirm(a, s, &e->position);
+    if (e->position.valid && !(measured && now.voltages == before.voltages)) {
+        set_reason(&e->position, FO_BAD_SAMPLE);
+    }
+}
+
+/* Chooses the angle at which the plain observer linearises the map. The filter's angle is used if
+ * the filter runs and the plain observer has no position. Otherwise the plain observer uses its own
+ * angle, since a guard must not depend on the filter that it guards. */
+static void set_map_angle(const fo_adaptive *a, fo_adaptive_state *s)
+{
+#if FO_MAPPED
+    s->plain.has_external_angle = s->running && !s->plain.trusted;
+    s->plain.external_angle = predicted_angle(&a->plain, &s->tracker);
+#else
+    (void)a;
+    (void)s;
+#endif
+}
+
+/* Resets a damaged state, and takes the learner's answer. */
+static void prepare_sample(const fo_adaptive *a, fo_adaptive_state *s)
+{
+    if (fo_damaged(&a->plain, &s->plain)) {
+        const uint32_t restarts = s->plain.restarts, owner = FO_ACQUIRE(s->mail.owner);
+        fo_adaptive_reset(a, s);
+        s->plain.restarts = restarts + 1U;
+        if (owner == FO_MAIL_WITH_LEARNER) { /* it may be at work on the mail */
+            s->mail.owner = owner;
+            s->discard = true;
+        }
+    }
+    if (receive(a, s)) {
+        stop_filter(a, s, true);
+    }
+}
+
+void fo_adaptive_fast_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real voltage[FO_N],
+                      const fo_real current[FO_N], fo_adaptive_estimate *e)
+{
+    prepare_sample(a, s);
+    const bad_samples before = count_bad_samples(&s->plain);
+    fo_real loss[FO_N], corrected[FO_N];
+    predicted_loss(a, s, current, loss);
+    correct_asymmetry(s, voltage, corrected);
+    for (int i = 0; i < FO_N; i++) {
+        corrected[i] -= loss[i];
+    }
+    set_map_angle(a, s);
+    fo_step(&a->plain, &s->plain, corrected, current, &e->position);
+    finish_sample(a, s, false, before, e);
+}
+
+void fo_adaptive_fast_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state *s,
+                                   const fo_real volt_seconds[FO_N], const fo_real current[FO_N],
+                                   fo_adaptive_estimate *e)
+{
+    prepare_sample(a, s);
+    const bad_samples before = count_bad_samples(&s->plain);
+    fo_real loss[FO_N], corrected[FO_N];
+    predicted_loss(a, s, current, loss);
+    correct_asymmetry(s, volt_seconds, corrected);
+    for (int i = 0; i < FO_N; i++) {
+        corrected[i] -= a->plain.sample_time * loss[i];
+    }
+    set_map_angle(a, s);
+    fo_step_volt_seconds(&a->plain, &s->plain, corrected, current, &e->position);
+    finish_sample(a, s, true, before, e);
+}
+
+void fo_adaptive_fast_step_for(const fo_adaptive *a, fo_adaptive_state *s, fo_real duration,
+                          const fo_real voltage[FO_N], const fo_real current[FO_N],
+                          fo_adaptive_estimate *e)
+{
+    fo_adaptive now;
+    fo_gathered g;
+    now = *a;
+    fo_uneven(&a->plain, &s->plain, duration, voltage, current, &now.plain, &g);
+    now.volt = a->volt * (now.plain.sample_time / a->plain.sample_time);
+    fo_adaptive_fast_step_volt_seconds(&now, s, g.volt_seconds, g.current, e);
+}
+
