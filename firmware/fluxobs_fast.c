@@ -659,7 +659,7 @@ static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real
         const bool early = lost && s->report.rows < EARLY_ROWS &&
                            s->report.reported_std[1] > a->std[FO_RESISTANCE] / TWO;
         const bool ended =
-            fo_abs(s->block.turned) >= BLOCK || s->block.time >= BLOCK_MAX || changed;
+            fo_abs(s->block.turned) >= BLOCK || s->block.time >= BLOCK_MAX;
         if (wrong || lost) {
             stop_filter(a, s, wrong || early);
         } else if (ended && s->mail.owner == FO_MAIL_FREE) {

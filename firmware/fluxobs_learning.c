@@ -25,6 +25,9 @@ static const fo_real LEVEL_ROWS = (fo_real)8;
 static const fo_real NOISE_LEVEL_MIN = (fo_real)0.02;
 /* Least information on the flux [1 / flux bases^2]: the std is a thousand times any flux. */
 static const fo_real INFORMATION_MIN = (fo_real)1e-6;
+/* Std of the angle above which rows do not update the parameters [rad]: 20 degrees. There the
+ * part of the length that is not linear is 6 % of it. */
+static const fo_real LEARN_STD = PI / (fo_real)9;
 /* Least rotation of a block with a row [rad]. */
 static const fo_real TURNED_MIN = (fo_real)1e-6;
 /* Rows of a round, in which each parameter is forgotten and its prior re-injected once [1]. */
@@ -624,7 +627,8 @@ static void update_by_block(const fo_adaptive *a, fo_learner *s, const fo_block 
                  a->through_L * end->noise_inflation * c.blocks / (fo_real)sums->samples;
     c.shape = turned > ZERO ? b->unmodelled / turned : ZERO;
     c.rows = count_rows_at_point(a, s, &c.point, c.speed, blocks);
-    c.learn = !s->frozen && end->emf_ratio < EMF_RATIO_LIMIT && turned > ZERO;
+    c.learn = !s->frozen && end->emf_ratio < EMF_RATIO_LIMIT && turned > ZERO &&
+              c.curvature < LEARN_STD * LEARN_STD * c.point.length;
     sum_rows(a, b, sums, &r);
     decorrelate(sums, &r);
     for (int w = 0; w < (int)FO_NW; w++) {
