@@ -473,7 +473,13 @@ static void forget_parameters(const fo_adaptive *a, fo_learner *s, fo_real time)
     s->forgotten += time * a->slow;
     s->reinject_index = s->reinject_index + 1U < FORGETTING_ROUND ? s->reinject_index + 1U : 0U;
     if (s->reinject_index < (uint32_t)FO_NP) {
-        const int n = FO_NF + (int)s->reinject_index;
+        int n = FO_NF + (int)s->reinject_index;
+#if FO_ASYMMETRIC
+        if (n >= (int)FO_NF + (int)FO_ASYMMETRY) { /* the asymmetry comes last: an observer without it
+                                                * re-injects the others in the same rows */
+            n += n < (int)FO_NF + (int)FO_INDUCTANCE ? 2 : -2;
+        }
+#endif
         fo_real row[FO_NA] = {0}, mean = ZERO, information = s->forgotten_before;
         row[n] = ONE;
         fo_add_row_to(FO_NA, s->U, s->d, s->z, n, FO_NF + FO_NP, row, &mean, &information);

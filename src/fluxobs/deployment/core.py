@@ -23,9 +23,10 @@ ADAPTIVE_SOURCES = (
     *SOURCES,
     *(
         f"fluxobs_{name}.{kind}"
-        for name in ("adaptive", "learning", "candidates", "triangle")
+        for name in ("adaptive", "learning", "relation", "candidates", "triangle")
         for kind in ("h", "c")
     ),
+    "fluxobs_fast.c",
 )
 #: Sources for use at run time: configuration, seeds, changed parameters, snapshots over a power
 #: cycle.

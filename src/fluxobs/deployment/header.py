@@ -18,14 +18,14 @@ from .c_source import PRECISIONS, Precision, inert, initializer, literal
 Exported = LeastSquaresObserver | AdaptiveObserver
 
 
-#: Index of the asymmetry among the unknowns (FO_ASYMMETRY); one unknown follows the asymmetry.
-ASYMMETRY_PLACE = 8
+#: Places of the asymmetry among the unknowns (FO_ASYMMETRY); the inductances follow.
+ASYMMETRY = slice(6, 8)
 
 
 def std_of(observer: AdaptiveObserver) -> list[float]:
     """Return the prior standard deviations of an export, without that of a known asymmetry."""
     std: list[float] = observer.parameters()["std"]
-    return std if observer.asymmetry_std > 0 else [*std[:ASYMMETRY_PLACE], std[-1]]
+    return std if observer.asymmetry_std > 0 else [*std[: ASYMMETRY.start], *std[ASYMMETRY.stop :]]
 
 
 def plain(observer: Exported) -> LeastSquaresObserver:
@@ -232,7 +232,8 @@ def _initializers(observer: Exported, precision: Precision, prefix: str) -> str:
     more = observer.parameters() | {"projection": f"FO_PROJECT_{observer.projection.upper()}"}
     std = [initializer(value, precision) for value in more["std"]]
     before, asymmetry, after = (
-        ", ".join(numbers) for numbers in (std[:ASYMMETRY_PLACE], std[ASYMMETRY_PLACE:-1], std[-1:])
+        ", ".join(numbers)
+        for numbers in (std[: ASYMMETRY.start], std[ASYMMETRY], std[ASYMMETRY.stop :])
     )
     more["std"] = f"{{{before},\n#if FO_ASYMMETRIC\n    {asymmetry},\n#endif\n    {after}}}"
     return f"    {{\n{inner}\n    }},\n{lines(more, _core.adaptive_meanings)}"

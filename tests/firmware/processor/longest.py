@@ -16,7 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 #: Functions of the harness that call the step: when one of them continues, the call has ended.
-CALLERS = ("timed_step", "main", "step", "check_replay")
+CALLERS = ("timed_step", "timed_learning", "main", "step", "check_replay")
+CALLERS += ("fo_adaptive_step_single",)
 NO_INSTRUCTION = (".word", ".short", ".byte")
 
 

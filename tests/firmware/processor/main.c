@@ -12,7 +12,11 @@
 #define STATE fo_adaptive_state
 #define ESTIMATE fo_adaptive_estimate
 #define RESET fo_adaptive_reset
+#ifdef TASKS
+#define STEP fo_adaptive_fast_step
+#else
 #define STEP fo_adaptive_step
+#endif
 #define PLAIN(observer) (observer).plain
 #else
 #define OBSERVER fo_observer
@@ -23,7 +27,7 @@
 #define PLAIN(observer) (observer)
 #endif
 
-enum { PAINTED = 2048, PAINT = 0x5A };
+enum { PAINTED = 2048, PAINT = 0x5A, LEARN_EVERY = 10 };
 
 static STATE state;
 
@@ -39,6 +43,34 @@ static __attribute__((noinline)) uint32_t timed_step(int k, ESTIMATE *e)
     const uint32_t before = target_ticks();
     STEP(&motor_observer, &state, &samples[k][0], &samples[k][2], e);
     return (before - target_ticks()) & 0xFFFFFFU;
+}
+
+#ifdef TASKS
+/* A call of the slower task. */
+static __attribute__((noinline)) uint32_t timed_learning(void)
+{
+    const uint32_t before = target_ticks();
+    (void)fo_adaptive_learn(&motor_observer, &state);
+    return (before - target_ticks()) & 0xFFFFFFU;
+}
+#endif
+
+/* Paint the memory below the stack's end; a call overwrites the paint where it uses the stack. */
+static volatile unsigned char *paint(volatile unsigned char *sp)
+{
+    volatile unsigned char *const below = sp - PAINTED;
+    for (int i = 0; i < PAINTED; i++) {
+        below[i] = PAINT;
+    }
+    return below;
+}
+
+static int32_t used(const volatile unsigned char *sp, const volatile unsigned char *below)
+{
+    while (below < sp && *below == PAINT) {
+        below++;
+    }
+    return (int32_t)(sp - below);
 }
 
 static __attribute__((noinline)) uint32_t timed_gathering(void)
@@ -71,23 +103,35 @@ int main(void)
     target_number("ticks_of_reading", (int32_t)((first - second) & 0xFFFFFFU));
     for (int k = 0; k < SAMPLES; k++) {
         target_number("ticks", (int32_t)timed_step(k, &e));
+#ifdef TASKS
+        if (k % LEARN_EVERY == 0) {
+            target_number("learning", (int32_t)timed_learning());
+        }
+#endif
     }
     target_number("ticks_of_gathering", (int32_t)timed_gathering());
 
-    /* Paint the memory below the stack's end; a step overwrites the paint where it uses the
-     * stack. */
-    volatile unsigned char *const sp = stack_pointer(), *below = sp - PAINTED;
+    volatile unsigned char *const sp = stack_pointer(), *below = paint(sp);
     RESET(&motor_observer, &state);
-    for (int i = 0; i < PAINTED; i++) {
-        below[i] = PAINT;
-    }
     for (int k = 0; k < SAMPLES; k++) {
         STEP(&motor_observer, &state, &samples[k][0], &samples[k][2], &e);
+#ifdef TASKS
+        state.mail.owner = 0U; /* as if there were no work for the slower task */
+#endif
     }
-    while (below < sp && *below == PAINT) {
-        below++;
+    target_number("stack", used(sp, below));
+#ifdef TASKS
+    int32_t deepest = 0;
+    RESET(&motor_observer, &state);
+    for (int k = 0; k < SAMPLES; k++) {
+        STEP(&motor_observer, &state, &samples[k][0], &samples[k][2], &e);
+        below = paint(sp);
+        (void)fo_adaptive_learn(&motor_observer, &state);
+        const int32_t stack = used(sp, below);
+        deepest = stack > deepest ? stack : deepest;
     }
-    target_number("stack", (int32_t)(sp - below));
+    target_number("learning_stack", deepest);
+#endif
     target_number("state", (int32_t)sizeof(STATE));
     target_number("parameters", (int32_t)sizeof(OBSERVER));
     return r.damaged || r.wrong > 0 || r.between || r.valid == 0 ? 1 : 0;

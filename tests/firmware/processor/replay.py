@@ -66,8 +66,17 @@ class Build:
     )
 
 
-KINDS = {"plain": ("drift",), "adaptive": ("drift", "resistance", "inverter")}
-STEPS = {"plain": "fo_step_single", "adaptive": "fo_adaptive_step_single"}
+ADAPTIVE = ("drift", "resistance", "inverter")
+#: "tasks" is the adaptive observer in an interrupt and a slower task.
+KINDS = {"plain": ("drift",), "adaptive": ADAPTIVE, "tasks": ADAPTIVE}
+STEPS = {
+    "plain": "fo_step_single",
+    "adaptive": "fo_adaptive_step_single",
+    "tasks": "fo_adaptive_fast_step_single",
+}
+LEARN = "fo_adaptive_learn_single"
+#: Instructions of a call of the slower task that has no work, at most.
+IDLE = 50
 #: Limits of the first build: instructions of a sample, bytes. The adaptive observer has 2.7 times
 #: the instructions of the plain observer. Its unknowns L_d and L_q cost 128 bytes of state and 120
 #: bytes of stack.
@@ -102,7 +111,8 @@ def compile_for(
 ) -> tuple[Path, int]:
     """Return (program, bytes of the observer in it: code and constants of its sources)."""
     flags = [*COMMON, *build.flags, *more, "-I", folder, "-I", folder / "test", "-I", HERE]
-    flags += ["-DADAPTIVE"] if kind == "adaptive" else []
+    flags += ["-DADAPTIVE"] if kind != "plain" else []
+    flags += ["-DTASKS"] if kind == "tasks" else []
     observer, program = folder / "observer.o", folder / "program.elf"
     parts = []
     for source in sorted(folder.glob("fluxobs*.c")):
@@ -117,6 +127,7 @@ def compile_for(
         "fo_gather_single",
         "fo_step_volt_seconds_single",
         "fo_adaptive_step_volt_seconds_single",
+        "fo_adaptive_fast_step_volt_seconds_single",
     }
     counted = linked.keys() - few
     return program, sum(size for name, size in sizes(observer).items() if name in counted)
@@ -152,17 +163,31 @@ def said_by(build: Build, program: Path) -> tuple[list[tuple[str, int]], int]:
     return [(name, int(value)) for name, value in pairs], done.returncode
 
 
-def run(build: Build, program: Path) -> tuple[dict[str, int], np.ndarray, float]:
-    """Return (numbers printed by the program, instructions of every step, of gathering)."""
+@dataclass(frozen=True)
+class Run:
+    """What a program printed: numbers by name; instructions of every step, of every call of the
+    slower task, of gathering."""
+
+    said: dict[str, int]
+    steps: np.ndarray
+    learning: np.ndarray
+    gathering: float
+
+
+def run(build: Build, program: Path) -> Run:
+    """Run a program."""
     pairs, rc = said_by(build, program)
-    ticks = np.array([value for name, value in pairs if name.startswith("ticks")])
-    said = {name: value for name, value in pairs if name != "ticks"}
+    said = {name: value for name, value in pairs if name not in ("ticks", "learning")}
     per_instruction = build.clock * INSTRUCTION * 1e-9
-    # The first ticks are those of reading the timer.
-    instructions = (ticks[1:] - ticks[0]) / per_instruction
-    counted = np.round(instructions)
-    assert np.abs(instructions - counted).max() < 0.1, "ticks are not whole instructions"
-    return said | {"rc": rc}, counted[:-1], counted[-1]
+
+    def instructions(wanted: str) -> np.ndarray:
+        ticks = np.array([value for name, value in pairs if name == wanted], float)
+        exact = (ticks - said["ticks_of_reading"]) / per_instruction
+        assert np.abs(exact - np.round(exact)).max(initial=0) < 0.1, "no whole instructions"
+        return np.round(exact)
+
+    gathering = instructions("ticks_of_gathering")[0]
+    return Run(said | {"rc": rc}, instructions("ticks"), instructions("learning"), gathering)
 
 
 def as_expected(build: Build, said: dict[str, int]) -> bool:
@@ -183,7 +208,8 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
         fluxobs.export(machine, SAMPLE_TIME, folder, memory=MEMORY, unknowns=unknowns)
         for build in BUILDS:
             program, code = compile_for(build, folder, kind)
-            said, instructions, gathering = run(build, program)
+            done = run(build, program)
+            said, instructions = done.said, done.steps
             ok = as_expected(build, said)
             failed = failed or not ok
             print(
@@ -202,13 +228,21 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
                     "mean": round(float(instructions.mean())),
                     "most": int(instructions.max()),
                     "bound": bound(program, build.board, STEPS[kind]) if build.hard else None,
-                    "gather": int(gathering),
+                    "gather": int(done.gathering),
                     "code": code,
                     "state": said["state"],
                     "stack": said["stack"],
                 }
             )
-    for what, most in BUDGETS[kind].items():
+            if kind == "tasks":
+                worked = done.learning[done.learning > IDLE]
+                costs["builds"][-1] |= {
+                    "learn_mean": round(float(worked.mean())),
+                    "learn_most": int(worked.max()),
+                    "learn_bound": bound(program, build.board, LEARN) if build.hard else None,
+                    "learn_stack": said["learning_stack"],
+                }
+    for what, most in BUDGETS.get(kind, {}).items():
         if costs["builds"][0][what] > most:
             name = costs["builds"][0]["name"]
             print(f"FAILED: {kind}, {name}: {what} is {costs['builds'][0][what]}, limit {most}")
@@ -251,7 +285,7 @@ def measure_maps() -> bool:
             folder = Path(scratch) / "motor"
             fluxobs.export(machine, SAMPLE_TIME, folder)
             program, _ = compile_for(BUILDS[0], folder, "plain")
-            means[name] = run(BUILDS[0], program)[1].mean()
+            means[name] = run(BUILDS[0], program).steps.mean()
     table, linear = means["table"] - means["linear"], means["linear"] - means["without"]
     print(
         f"plain, {BUILDS[0].name}: a linear map adds {linear:.0f} instructions, a table "

@@ -39,10 +39,10 @@ void drive_start(void)
 {
 @when plain@
     static const fo_estimate nothing_known = {{0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, 0.0f, {0.0f, 0.0f},
-                                              0.0f, 0.0f, 0.0f, false};
+                                              0.0f, 0.0f, 0.0f, false, FO_NO_DATA};
 @when adaptive@
     static const fo_adaptive_estimate nothing_known = {
-        {{0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, 0.0f, {0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, false},
+        {{0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, 0.0f, {0.0f, 0.0f}, 0.0f, 0.0f, 0.0f, false, FO_NO_DATA},
         0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, false};
 @always@
 @every few@
