@@ -288,8 +288,8 @@ static inline fo_real zero_if_finite(fo_real x) { return x - x; }
  * invalid without a restart. The other numbers of a state are replaced within a few samples. */
 bool fo_damaged(const fo_observer *o, const fo_state *s)
 {
-    bool damaged = s->noise_inflation == ZERO;
-    if (s->round_index == 1U) { /* this is also true after a restart in the last step */
+    bool damaged = is_never_reset(s);
+    if (s->round_index == 1U) {
         const fo_tracker *t = &s->tracker;
         fo_real sum = zero_if_finite(s->power) + zero_if_finite(s->lag_one) +
                       zero_if_finite(s->rotation) + zero_if_finite(t->angle) +
@@ -883,7 +883,7 @@ static sample_quality classify(const fo_real x[FO_N], fo_real limit)
 static void process_sample(const fo_observer *o, fo_state *s, const fo_real source[FO_N],
                            bool complete, const fo_real current[FO_N], fo_estimate *e) {
     interval t = {{ZERO, ZERO}, {ZERO, ZERO}, ZERO};
-    if (fo_damaged(o, s)) {
+    if (may_be_damaged(s) && fo_damaged(o, s)) {
         const uint32_t restarts = s->restarts;
         fo_reset(o, s);
         s->restarts = restarts + 1U;
@@ -935,6 +935,8 @@ static void process_sample(const fo_observer *o, fo_state *s, const fo_real sour
             } else {
                 s->step = step;
             }
+            s->volt_seconds[0] = t.v[0];
+            s->volt_seconds[1] = t.v[1];
             predict(o, &s->info, &t);
         } else {
             reset_information(s); /* no voltage connects the past to this sample */

@@ -149,6 +149,7 @@ typedef struct {
     fo_real x[FO_NX];                    /* solution of info                                     */
     fo_real current[FO_HISTORY][FO_N];   /* newest first [A]                                     */
     fo_real source[FO_N];                /* last good volt-seconds                               */
+    fo_real volt_seconds[FO_N];          /* of the last interval, without the resistive drop     */
     fo_real held_source[FO_N];           /* volt-seconds of a held voltage                       */
     fo_real source_step[FO_N];           /* last step of held_source                             */
     fo_real step, length;                /* last step and length of the position vector          */

@@ -296,7 +296,8 @@ typedef struct {
     fo_real voltage_turn;                /* turn of the flux by unmodelled voltages [rad]   */
     fo_real signs[2][FO_N];              /* soft signs of the phase currents, for the loss  */
     fo_real sign_gradient[3];            /* derivative of the signs by the current          */
-    fo_real knee;                        /* difference between harder and softer signs now  */
+    fo_real std;                         /* std of the filter's angle [rad]                 */
+    fo_reason reason;                    /* why the filter's position is not valid          */
     fo_real rotation;                    /* rotation since one candidate is likely [rad]    */
     fo_real disagreement;                /* turn during which filter and guard differ [rad] */
     fo_real confirmed;                   /* rotation since the position became certain [rad] */

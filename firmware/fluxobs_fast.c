@@ -55,22 +55,25 @@ static fo_real soft_sign(fo_real x)
     return sign;
 }
 
-/* Computes the amplitude-invariant vector of the soft signs of the phase currents. Adds the
- * vector's derivative by the current (alpha alpha, alpha beta, beta beta) times `volts` to
- * `gradient`. */
-static void soft_signs(const fo_real current[FO_N], fo_real over, fo_real volts,
-                      fo_real signs[FO_N], fo_real gradient[3])
+/* Amplitude-invariant vector of the soft signs of the phase currents. */
+static void soft_signs(const fo_real phase[3], fo_real over, fo_real sign[3], fo_real vector[FO_N])
 {
-    const fo_real half = current[0] / TWO, root = (fo_real)0.8660254037844386 * current[1];
-    const fo_real phases[3] = {soft_sign(current[0] * over), soft_sign((root - half) * over),
-                               soft_sign((-root - half) * over)};
+    for (int i = 0; i < 3; i++) {
+        sign[i] = soft_sign(phase[i] * over);
+    }
+    vector[0] = (TWO * sign[0] - sign[1] - sign[2]) * (fo_real)(1.0 / 3.0);
+    vector[1] = (sign[1] - sign[2]) * (fo_real)0.5773502691896258;
+}
+
+/* Adds the derivative of that vector by the current (alpha alpha, alpha beta, beta beta), times
+ * `volts_over`, to `gradient`. */
+static void add_sign_gradient(const fo_real sign[3], fo_real volts_over, fo_real gradient[3])
+{
     fo_real slope[3];
     for (int i = 0; i < 3; i++) {
-        slope[i] = volts * over * (ONE - phases[i] * phases[i]);
+        slope[i] = volts_over * (ONE - sign[i] * sign[i]);
     }
-    signs[0] = (TWO * phases[0] - phases[1] - phases[2]) / (fo_real)3;
-    signs[1] = (phases[1] - phases[2]) * (fo_real)0.5773502691896258;
-    gradient[0] += ((fo_real)4 * slope[0] + slope[1] + slope[2]) / (fo_real)6;
+    gradient[0] += ((fo_real)4 * slope[0] + slope[1] + slope[2]) * (fo_real)(1.0 / 6.0);
     gradient[1] += (slope[2] - slope[1]) * (fo_real)0.2886751345948129;
     gradient[2] += (slope[1] + slope[2]) / TWO;
 }
@@ -81,40 +84,43 @@ static fo_real inverter_loss_part(const fo_adaptive *a, const fo_adaptive_state 
     return a->inverter_mean + s->value[FO_INVERTER + n];
 }
 
+/* Does this sample update the std, and not the sums of the block? The two tasks take turns. */
+static bool is_status_turn(const fo_adaptive_state *s) { return (s->sample_index & 1U) != 0U; }
+
 /* Voltage lost in the interval that ends with this current, in addition to the assumed resistance's
  * drop. The estimates of resistance error and inverter loss determine it; the asymmetry is not
- * included. Stores the signs. */
+ * included. Stores the signs. `mean` is the mean current of the interval. */
 static void predicted_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_real current[FO_N],
-                       fo_real loss[FO_N])
+                           fo_real mean[FO_N], fo_real loss[FO_N])
 {
     const fo_state *q = &s->plain;
-    fo_real mean[FO_N], without_offset[FO_N];
     for (int i = 0; i < FO_N; i++) {
-        mean[i] = current[i];
-        if (q->have_current) {
-            mean[i] = mean_current_24(current[i], q->current[0][i], q->current[1][i],
-                                      q->current[2][i]) /
-                      (fo_real)24;
-        }
+        mean[i] = q->have_current ? mean_current_24(current[i], q->current[0][i], q->current[1][i],
+                                                    q->current[2][i]) *
+                                        (fo_real)(1.0 / 24.0)
+                                  : current[i];
     }
     if (!(dot(mean, mean) <= a->plain.current_limit * a->plain.current_limit)) {
         mean[0] = q->current[0][0]; /* the current is not finite, or absurd */
         mean[1] = q->current[0][1];
     }
+    const fo_real alpha = mean[0] - s->value[FO_OFFSET], beta = mean[1] - s->value[FO_OFFSET + 1];
+    const fo_real half = alpha / TWO, root = (fo_real)0.8660254037844386 * beta;
+    const fo_real phase[3] = {alpha, root - half, -root - half};
+    const fo_real hard = inverter_loss_part(a, s, 0), soft = inverter_loss_part(a, s, 1);
+    fo_real sign[2][3];
+    soft_signs(phase, a->over_current[0], sign[0], s->signs[0]);
+    soft_signs(phase, a->over_current[1], sign[1], s->signs[1]);
     for (int i = 0; i < FO_N; i++) {
-        without_offset[i] = mean[i] - s->value[FO_OFFSET + i];
-        loss[i] = s->value[FO_RESISTANCE] * mean[i];
+        loss[i] = s->value[FO_RESISTANCE] * mean[i] + hard * s->signs[0][i] + soft * s->signs[1][i];
     }
-    (void)memset(s->sign_gradient, 0, sizeof s->sign_gradient);
-    for (int n = 0; n < 2; n++) {
-        const fo_real volts = inverter_loss_part(a, s, n);
-        soft_signs(without_offset, a->over_current[n], volts, s->signs[n], s->sign_gradient);
-        for (int i = 0; i < FO_N; i++) {
-            loss[i] += volts * s->signs[n][i];
+    if (is_status_turn(s)) {
+        for (int i = 0; i < 3; i++) {
+            s->sign_gradient[i] = ZERO;
         }
+        add_sign_gradient(sign[0], hard * a->over_current[0], s->sign_gradient);
+        add_sign_gradient(sign[1], soft * a->over_current[1], s->sign_gradient);
     }
-    const fo_real apart[FO_N] = {s->signs[0][0] - s->signs[1][0], s->signs[0][1] - s->signs[1][1]};
-    s->knee = fo_sqrt(dot(apart, apart));
 }
 
 /* u + g conj(u) */
@@ -135,49 +141,46 @@ static void correct_asymmetry(const fo_adaptive_state *s, const fo_real u[FO_N],
 
 /* ---- integration ---------------------------------------------------------------------- */
 
-/* Computes the volt-seconds v of the last interval. Adds to the block their change with one prior
- * std of each parameter. */
-static void integrate(const fo_adaptive *a, fo_adaptive_state *s, bool complete, fo_real mean[FO_N],
-                      fo_real v[FO_N])
+/* Adds to the block the change of the last interval's volt-seconds with one prior std of each
+ * parameter. */
+static void add_sensitivities(const fo_adaptive *a, fo_adaptive_state *s, bool complete,
+                              const fo_real mean[FO_N])
 {
     fo_block *b = &s->block;
-    const fo_real *std = a->std, *gradient = s->sign_gradient;
-    fo_real mean_24[FO_N], u[FO_N];
+    const fo_real *std = a->std, *gradient = s->sign_gradient, volt = a->volt;
     for (int i = 0; i < FO_N; i++) {
-        mean_24[i] = mean_current_24(s->plain.current[0][i], s->plain.current[1][i],
-                                     s->plain.current[2][i], s->plain.current[3][i]);
-        mean[i] = mean_24[i] / (fo_real)24;
-    }
-    for (int i = 0; i < FO_N; i++) {
-        const fo_real drop = row_of(a->plain.hR, i, mean_24);
         fo_real(*to)[FO_N] = b->sensitivity;
-        v[i] = s->plain.source[i] - (complete ? ZERO : drop);
-        u[i] = s->plain.source[i] + (complete ? drop : ZERO);
-        to[0][i] -= std[FO_RESISTANCE] * a->volt * mean[i];
-        to[1][i] -= std[FO_INVERTER] * a->volt * s->signs[0][i];
-        to[2][i] -= std[FO_INVERTER + 1] * a->volt * s->signs[1][i];
-        to[3][i] += std[FO_OFFSET] * a->volt * gradient[i];
-        to[4][i] += std[FO_OFFSET + 1] * a->volt * gradient[1 + i];
+        to[0][i] -= std[FO_RESISTANCE] * volt * mean[i];
+        to[1][i] -= std[FO_INVERTER] * volt * s->signs[0][i];
+        to[2][i] -= std[FO_INVERTER + 1] * volt * s->signs[1][i];
+        to[3][i] += std[FO_OFFSET] * volt * gradient[i];
+        to[4][i] += std[FO_OFFSET + 1] * volt * gradient[1 + i];
     }
 #if FO_ASYMMETRIC
+    fo_real u[FO_N];
+    for (int i = 0; i < FO_N; i++) { /* the interval's voltage without the drop */
+        const fo_real drop = complete ? (fo_real)24 * row_of(a->plain.hR, i, mean) : ZERO;
+        u[i] = s->plain.source[i] + drop;
+    }
     b->sensitivity[5][0] += std[FO_ASYMMETRY] * u[0];
     b->sensitivity[5][1] -= std[FO_ASYMMETRY] * u[1];
     b->sensitivity[6][0] += std[FO_ASYMMETRY + 1] * u[1];
     b->sensitivity[6][1] += std[FO_ASYMMETRY + 1] * u[0];
 #else
-    (void)u;
+    (void)complete;
 #endif
     b->time += a->plain.h;
 }
 
 /* Updates the parameter-to-EMF ratio: the angle by which parameter errors may have turned the flux.
- * The ratio accumulates until the rotor has turned by a radian. */
-static void update_emf_ratio(const fo_adaptive *a, fo_adaptive_state *s, fo_real length,
-                             fo_real turned)
+ * The ratio accumulates until the rotor has turned by a radian. `turned` is the rotation in these
+ * `samples`. */
+static void update_emf_ratio(const fo_adaptive *a, fo_adaptive_state *s, fo_real samples,
+                             fo_real length, fo_real turned)
 {
     const fo_real before = s->report.voltage_std_square;
     const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
-    fo_real flux_std = s->report.voltage_std * a->plain.h;
+    fo_real flux_std = s->report.voltage_std * a->plain.h * samples;
     if (square > before && before > ZERO) { /* larger now */
         flux_std *= fo_sqrt(square / before);
     }
@@ -209,6 +212,12 @@ static const fo_map_point *linearise_map(const fo_adaptive *a, fo_adaptive_state
 #endif
 }
 
+/* Std of an angle with this variance: at most the std of an unknown angle. */
+static fo_real capped_std(fo_real variance)
+{
+    return fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
+}
+
 /* ---- the mail to the learner ----------------------------------------------------------- */
 
 static void clear_block(fo_adaptive_state *s)
@@ -220,7 +229,7 @@ static void clear_block(fo_adaptive_state *s)
 }
 
 /* Sends the block to the learner, which must have no mail. */
-static void post(fo_adaptive_state *s, const fo_real mean[FO_N])
+static void post(const fo_adaptive *a, fo_adaptive_state *s, const fo_real mean[FO_N])
 {
     fo_mail *m = &s->mail;
     fo_block_end *end = &m->end;
@@ -252,6 +261,7 @@ static void post(fo_adaptive_state *s, const fo_real mean[FO_N])
             data->flux[i] = q->x[FLUX + i];
             data->drift[i] = q->x[DRIFT + i];
             data->direction[i] = s->x[i];
+            data->armature_flux[i] = armature_flux(&a->plain, q, i);
         }
         data->rotation = s->rotation;
         data->trusted = q->trusted;
@@ -328,6 +338,8 @@ static void take_candidate(const fo_adaptive *a, fo_adaptive_state *s, const fo_
     }
     if (c->kind == FO_ANSWER_START) {
         s->running = true;
+        s->std = capped_std(VARIANCE_UNKNOWN);
+        s->reason = FO_SEARCHING;
         s->voltage_turn = ZERO;
         s->disagreement = ZERO;
         s->block.turned = ZERO;
@@ -388,12 +400,6 @@ static void stop_filter(const fo_adaptive *a, fo_adaptive_state *s, bool wrong)
 
 /* ---- estimates ------------------------------------------------------------------------ */
 
-/* Std of an angle with this variance: at most the std of an unknown angle. */
-static fo_real capped_std(fo_real variance)
-{
-    return fo_sqrt(variance < VARIANCE_UNKNOWN ? variance : VARIANCE_UNKNOWN);
-}
-
 /* Writes the parameters into the estimate. */
 static void write_parameters(const fo_adaptive *a, const fo_adaptive_state *s,
                               fo_adaptive_estimate *e)
@@ -424,15 +430,12 @@ static fo_reason judge_filter(const fo_adaptive_state *s, fo_real variance, fo_r
     return reason;
 }
 
-/* Writes the filter's estimate, with this length of the position vector and this variance of the
- * angle. `fixed` is the variance due to errors that measurements do not reduce: of L_q and of the
- * considered parameters. */
+/* Writes the filter's estimate, with this length of the position vector. */
 static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length,
-                   fo_real variance, fo_real fixed, fo_adaptive_estimate *e)
+                                  fo_adaptive_estimate *e)
 {
     const fo_observer *o = &a->plain;
     fo_estimate *q = &e->position;
-    const fo_real all = variance + fixed;
     for (int i = 0; i < FO_N; i++) {
         q->flux[i] = s->flux[i] * o->flux_base;
         q->drift[i] = s->drift[i] * o->drift_base;
@@ -441,9 +444,9 @@ static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state 
     q->theta_e = s->theta;
     q->theta_e_tracked = s->tracker.angle;
     q->speed_e = s->tracker.speed;
-    q->theta_e_std = capped_std(all);
+    q->theta_e_std = s->std;
     q->noise_share = ZERO;
-    set_reason(q, judge_filter(s, variance, all));
+    set_reason(q, s->reason);
     e->psi_f = (a->psi + s->value[FO_PSI]) * o->flux_base;
 #if FO_MAPPED
     if (has_cage_map(o)) {
@@ -455,26 +458,12 @@ static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state 
     e->weight_other = ZERO;
 }
 
-/* Are all numbers of an estimate finite? */
-static bool is_finite_estimate(const fo_adaptive_estimate *e)
-{
-    const fo_estimate *q = &e->position;
-    const fo_real sum = q->flux[0] + q->flux[1] + q->drift[0] + q->drift[1] + q->psi_f +
-                        q->theta_e + q->speed_e + q->theta_e_std + e->psi_f + e->psi_f_std +
-                        e->drift_std + e->resistance_error + e->resistance_std +
-                        e->inverter_voltage + e->inverter_std;
-    return sum - sum == ZERO;
-}
-
 /* Writes the plain observer's position. The plain observer's std does not include the parameters,
  * so their part is added. */
-static void use_plain_estimate(const fo_adaptive_state *s, const fo_estimate *plain,
-                        fo_adaptive_estimate *e)
+static void use_plain_estimate(const fo_adaptive_state *s, fo_adaptive_estimate *e)
 {
     fo_estimate *q = &e->position;
-    *q = *plain;
-    q->theta_e_std =
-        capped_std(plain->theta_e_std * plain->theta_e_std + s->emf_ratio * s->emf_ratio);
+    q->theta_e_std = capped_std(q->theta_e_std * q->theta_e_std + s->emf_ratio * s->emf_ratio);
     if (q->valid && !(q->theta_e_std < STD_LIMIT)) {
         set_reason(q, FO_UNCERTAIN);
     }
@@ -494,16 +483,16 @@ static fo_real considered_variance(const fo_adaptive *a, const fo_adaptive_state
     return late * late + fluxes / square + cage_ripple_variance(o, speed);
 }
 
-/* Variance of the flux across the position vector, between two blocks. After a change of the load
- * the errors of the parameters have not yet been correlated with the flux. */
-static fo_real flux_variance(const fo_adaptive *a, const fo_adaptive_state *s, bool changed)
+/* Variance of the flux across the position vector, between two blocks. At another load, the errors
+ * of the parameters have not yet been correlated with the flux. */
+static fo_real flux_variance(const fo_adaptive *a, const fo_adaptive_state *s)
 {
     const fo_learning_report *r = &s->report;
     const fo_real time = s->block.time;
+    const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
+    const fo_real change = (square - r->voltage_std_square) * a->over_rated * a->over_rated;
     fo_real growth = r->growth;
-    (void)a;
-    if (changed) {
-        const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
+    if (fo_abs(change) > NEW_POINT * NEW_POINT) {
         const fo_real ratio =
             square > r->voltage_std_square && r->voltage_std_square > ZERO
                 ? square / r->voltage_std_square : ONE;
@@ -513,37 +502,32 @@ static fo_real flux_variance(const fo_adaptive *a, const fo_adaptive_state *s, b
     return r->variance_across + growth * time * time;
 }
 
-/* Is the current that of a new operating point? */
-static bool load_has_changed(const fo_adaptive *a, const fo_adaptive_state *s)
-{
-    const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
-    return fo_abs(square - s->report.voltage_std_square) * a->over_rated * a->over_rated >
-           NEW_POINT * NEW_POINT;
-}
-
-/* Writes the estimate after a step of the filter. Returns the variance of its angle without errors
- * of inductance and lag. */
-static fo_real report_step(const fo_adaptive *a, fo_adaptive_state *s,
-                           const fo_linearisation *point, fo_real step, bool changed,
-                           fo_adaptive_estimate *e)
+/* Updates std and validity of the filter's position: `turned` is the rotation in these `samples`.
+ * Returns the variance of the angle without errors of inductance and lag. */
+static fo_real update_std(const fo_adaptive *a, fo_adaptive_state *s,
+                          const fo_linearisation *point, fo_real samples, fo_real turned)
 {
     const fo_observer *o = &a->plain;
     const fo_learning_report *r = &s->report;
     const fo_real square = point->length * point->length;
-    const fo_real inverter = (INVERTER_UNMODELLED + KNEE_UNMODELLED * s->knee) * r->loss_size * o->h;
-    const fo_real other = VOLTAGE_TURN * o->drift_prior_std * o->h;
+    const fo_real apart[FO_N] = {s->signs[0][0] - s->signs[1][0],
+                                 s->signs[0][1] - s->signs[1][1]};
+    const fo_real knee = fo_sqrt(dot(apart, apart)), time = samples * o->h;
+    const fo_real inverter = (INVERTER_UNMODELLED + KNEE_UNMODELLED * knee) * r->loss_size * time;
+    const fo_real other = VOLTAGE_TURN * o->drift_prior_std * time;
+    const fo_real step = turned < ONE ? turned : ONE;
     s->block.unmodelled += inverter;
     s->voltage_turn += (other + inverter) / point->length - s->voltage_turn * step;
     const fo_real noise = o->position_noise * s->plain.noise_inflation;
     const fo_real variance =
-        (flux_variance(a, s, changed) + noise) / square +
+        (flux_variance(a, s) + noise) / square +
         s->voltage_turn * s->voltage_turn / (fo_real)3; /* the turn is a bound: a uniform error */
-    settle_tracker(o, &s->tracker, s->theta, fo_sqrt(variance));
     const fo_real change =
         a->std[FO_INDUCTANCE + 1] * (point->armature_flux[1] - r->armature_flux_q);
-    write_filter_estimate(
-        a, s, point->length, variance,
-        (r->variance_by_L_q + change * change) / square + considered_variance(a, s, square), e);
+    const fo_real all = variance + (r->variance_by_L_q + change * change) / square +
+                        considered_variance(a, s, square);
+    s->std = capped_std(all);
+    s->reason = judge_filter(s, variance, all);
     return variance;
 }
 
@@ -601,21 +585,21 @@ static void add_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_map_
     sums->samples++;
 }
 
-/* Integrates the filter's flux, and adds the sample to the block. Returns whether the position
+/* Integrates the filter's flux, and may add the sample to the block. Returns whether the position
  * vector is plausible. */
-static bool step_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
-                        bool measured, fo_linearisation *point)
+static bool step_filter(const fo_adaptive *a, fo_adaptive_state *s, bool add,
+                        fo_linearisation *point)
 {
     const fo_observer *o = &a->plain;
     const fo_map_point *map = linearise_map(a, s);
     for (int i = 0; i < FO_N; i++) {
-        s->flux[i] += v[i] + o->h * s->drift[i];
+        s->flux[i] += s->plain.volt_seconds[i] + o->h * s->drift[i];
     }
     fo_linearise(a, s->value, s->flux, s->plain.current[0], map, point);
     const bool plausible = point->length * point->length > o->square_min / (fo_real)16 &&
                            dot(s->flux, s->flux) < RUNAWAY;
     if (plausible) {
-        if (measured) {
+        if (add) {
             add_sample(a, s, map, point);
         }
         const fo_real theta = fo_atan2(point->x[1], point->x[0]);
@@ -627,46 +611,55 @@ static bool step_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_rea
     return plausible;
 }
 
+/* Updates std, guard and block after these `samples`. Stops the filter if it is lost or wrong. */
+static void update_status(const fo_adaptive *a, fo_adaptive_state *s,
+                          const fo_linearisation *point, fo_real samples, const fo_real mean[FO_N],
+                          const fo_estimate *plain)
+{
+    const fo_real turned = fo_abs(s->tracker.speed) * a->plain.sample_time * samples;
+    update_emf_ratio(a, s, samples, point->length, turned);
+    const fo_real variance = update_std(a, s, point, samples, turned);
+    const bool differs = fo_abs(wrap(s->theta - plain->theta_e)) > DISAGREEMENT;
+    if (plain->valid) {
+        s->disagreement = differs ? s->disagreement + turned : ZERO;
+    }
+    const bool is_finite = variance - variance == ZERO;
+    const bool wrong = !is_finite || is_wrong(a, s);
+    const bool lost = s->emf_ratio > ONE ||
+                      (s->report.rows > LOST_AFTER && !(variance < STD_LOST * STD_LOST));
+    const bool early = lost && s->report.rows < EARLY_ROWS &&
+                       s->report.reported_std[1] > a->std[FO_RESISTANCE] / TWO;
+    const bool ended = fo_abs(s->block.turned) >= BLOCK || s->block.time >= BLOCK_MAX;
+    if (wrong || lost) {
+        stop_filter(a, s, wrong || early);
+    } else if (ended && s->mail.owner == FO_MAIL_FREE) {
+        post(a, s, mean);
+    } else {
+        /* the block lasts until the learner is free */
+    }
+}
+
 /* Processes a sample while the filter runs. `e` holds the estimate of the plain observer, the
  * filter's guard. */
-static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
-                       const fo_real mean[FO_N], bool measured, fo_adaptive_estimate *e)
+static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real mean[FO_N],
+                       bool measured, fo_adaptive_estimate *e)
 {
     fo_linearisation point;
-    if (step_filter(a, s, v, measured, &point)) {
-        const fo_estimate plain = e->position;
-        const fo_real turned = fo_abs(s->tracker.speed) * a->plain.sample_time;
-        const fo_real step = turned < ONE ? turned : ONE;
-        const bool changed = load_has_changed(a, s);
+    const bool status = is_status_turn(s);
+    /* with less than eight samples in a block, each sample does both */
+    const bool quick = fo_abs(s->tracker.speed) * a->plain.sample_time * (fo_real)8 > BLOCK;
+    if (step_filter(a, s, measured && (quick || !status), &point)) {
         track(&a->plain, &s->tracker, s->theta);
-        update_emf_ratio(a, s, point.length, turned);
-        const fo_real variance = report_step(a, s, &point, step, changed, e);
-        const bool guarded = plain.valid;
-        const bool differs = guarded && fo_abs(wrap(s->theta - plain.theta_e)) > DISAGREEMENT;
-        s->disagreement = differs ? s->disagreement + step : guarded ? ZERO : s->disagreement;
+        settle_tracker(&a->plain, &s->tracker, s->theta, s->std);
+        if (quick || status) {
+            update_status(a, s, &point, quick ? ONE : TWO, mean, &e->position);
+        }
+        if (e->position.valid && !(s->report.rows > PROVEN_AFTER)) {
+            use_plain_estimate(s, e);
+        } else {
+            write_filter_estimate(a, s, point.length, e);
+        }
         write_parameters(a, s, e);
-        const bool is_finite = is_finite_estimate(e);
-        if (!is_finite) {
-            e->position = plain;
-        } else if (guarded && !(s->report.rows > PROVEN_AFTER)) {
-            use_plain_estimate(s, &plain, e);
-        } else {
-            /* report the filter's own position */
-        }
-        const bool wrong = !is_finite || is_wrong(a, s);
-        const bool lost = s->emf_ratio > ONE ||
-                          (s->report.rows > LOST_AFTER && !(variance < STD_LOST * STD_LOST));
-        const bool early = lost && s->report.rows < EARLY_ROWS &&
-                           s->report.reported_std[1] > a->std[FO_RESISTANCE] / TWO;
-        const bool ended =
-            fo_abs(s->block.turned) >= BLOCK || s->block.time >= BLOCK_MAX;
-        if (wrong || lost) {
-            stop_filter(a, s, wrong || early);
-        } else if (ended && s->mail.owner == FO_MAIL_FREE) {
-            post(s, mean);
-        } else {
-            /* the block lasts until the learner is free */
-        }
     } else {
         stop_filter(a, s, true);
     }
@@ -692,12 +685,12 @@ static void write_candidate(const fo_adaptive *a, const fo_adaptive_state *s, fo
 }
 
 /* Integrates the best candidate. */
-static void step_candidate(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N])
+static void step_candidate(const fo_adaptive *a, fo_adaptive_state *s)
 {
     const fo_observer *o = &a->plain;
     fo_real x[FO_N];
     for (int i = 0; i < FO_N; i++) {
-        s->flux[i] += v[i] + o->h * s->drift[i];
+        s->flux[i] += s->plain.volt_seconds[i] + o->h * s->drift[i];
         x[i] = s->flux[i] - armature_flux(o, &s->plain, i);
     }
     const fo_real theta = fo_atan2(x[1], x[0]);
@@ -709,20 +702,20 @@ static void step_candidate(const fo_adaptive *a, fo_adaptive_state *s, const fo_
 }
 
 /* Processes a sample before the filter runs. */
-static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real v[FO_N],
-                      const fo_real mean[FO_N], fo_adaptive_estimate *e)
+static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real mean[FO_N],
+                      fo_adaptive_estimate *e)
 {
     fo_estimate *q = &e->position;
     const fo_real turned =
         s->plain.trusted ? fo_abs(s->plain.tracker.speed) * a->plain.sample_time : ZERO;
-    update_emf_ratio(a, s, s->plain.length, turned);
+    update_emf_ratio(a, s, ONE, s->plain.length, turned);
     (void)linearise_map(a, s);
     s->block.samples++;
     for (int i = 0; i < FO_N; i++) {
-        s->block.volt_seconds[i] += v[i];
+        s->block.volt_seconds[i] += s->plain.volt_seconds[i];
     }
     if (s->has_candidate) {
-        step_candidate(a, s, v);
+        step_candidate(a, s);
     } else {
         s->rotation = ZERO;
     }
@@ -733,8 +726,7 @@ static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real 
             e->theta_other = s->other_theta;
         }
         if (s->plain.trusted) {
-            const fo_estimate plain = *q;
-            use_plain_estimate(s, &plain, e);
+            use_plain_estimate(s, e);
         } else if (s->has_candidate && !s->seeded) {
             write_candidate(a, s, q);
         } else {
@@ -742,7 +734,7 @@ static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real 
         }
     }
     if (s->mail.owner == FO_MAIL_FREE) {
-        post(s, mean);
+        post(a, s, mean);
     }
 }
 
@@ -777,7 +769,8 @@ static bad_samples count_bad_samples(const fo_state *q)
 
 /* The work of a sample after the plain observer's step. */
 static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool complete,
-                          bad_samples before, fo_adaptive_estimate *e) {
+                          const fo_real mean[FO_N], bad_samples before, fo_adaptive_estimate *e)
+{
     const bad_samples now = count_bad_samples(&s->plain);
     const bool measured = now.currents == before.currents;
     e->theta_other = e->position.theta_e;
@@ -786,12 +779,11 @@ static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool compl
     e->drift_std = a->plain.drift_prior_std * a->plain.drift_base;
     e->adapting = s->running;
     if (s->plain.have_current && s->plain.have_voltage) {
-        fo_real v[FO_N], mean[FO_N];
-        integrate(a, s, complete, mean, v);
+        add_sensitivities(a, s, complete, mean);
         if (s->running) {
-            run_filter(a, s, v, mean, measured, e);
+            run_filter(a, s, mean, measured, e);
         } else {
-            run_start(a, s, v, mean, e);
+            run_start(a, s, mean, e);
         }
     } else {
         e->adapting = false;
@@ -827,7 +819,7 @@ static void set_map_angle(const fo_adaptive *a, fo_adaptive_state *s)
 /* Resets a damaged state, and takes the learner's answer. */
 static void prepare_sample(const fo_adaptive *a, fo_adaptive_state *s)
 {
-    if (fo_damaged(&a->plain, &s->plain)) {
+    if (may_be_damaged(&s->plain) && fo_damaged(&a->plain, &s->plain)) {
         const uint32_t restarts = s->plain.restarts, owner = FO_ACQUIRE(s->mail.owner);
         fo_adaptive_reset(a, s);
         s->plain.restarts = restarts + 1U;
@@ -846,15 +838,15 @@ void fo_adaptive_fast_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_
 {
     prepare_sample(a, s);
     const bad_samples before = count_bad_samples(&s->plain);
-    fo_real loss[FO_N], corrected[FO_N];
-    predicted_loss(a, s, current, loss);
+    fo_real mean[FO_N], loss[FO_N], corrected[FO_N];
+    predicted_loss(a, s, current, mean, loss);
     correct_asymmetry(s, voltage, corrected);
     for (int i = 0; i < FO_N; i++) {
         corrected[i] -= loss[i];
     }
     set_map_angle(a, s);
     fo_step(&a->plain, &s->plain, corrected, current, &e->position);
-    finish_sample(a, s, false, before, e);
+    finish_sample(a, s, false, mean, before, e);
 }
 
 void fo_adaptive_fast_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state *s,
@@ -863,15 +855,15 @@ void fo_adaptive_fast_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state 
 {
     prepare_sample(a, s);
     const bad_samples before = count_bad_samples(&s->plain);
-    fo_real loss[FO_N], corrected[FO_N];
-    predicted_loss(a, s, current, loss);
+    fo_real mean[FO_N], loss[FO_N], corrected[FO_N];
+    predicted_loss(a, s, current, mean, loss);
     correct_asymmetry(s, volt_seconds, corrected);
     for (int i = 0; i < FO_N; i++) {
         corrected[i] -= a->plain.sample_time * loss[i];
     }
     set_map_angle(a, s);
     fo_step_volt_seconds(&a->plain, &s->plain, corrected, current, &e->position);
-    finish_sample(a, s, true, before, e);
+    finish_sample(a, s, true, mean, before, e);
 }
 
 void fo_adaptive_fast_step_for(const fo_adaptive *a, fo_adaptive_state *s, fo_real duration,

@@ -311,8 +311,14 @@ static inline fo_real mean_current_24(fo_real i0, fo_real i1, fo_real i2, fo_rea
 /* Is this a state of zeros, on which fo_reset was never called? */
 static inline bool is_never_reset(const fo_state *s) { return s->noise_inflation == ZERO; }
 
-/* Is this an invalid state of the observer, that is, zeros or overwritten memory? Each state is
- * checked once in a round. */
+/* Must this state be checked now? Each state is checked once in a round; a restart in the last step
+ * begins a round. */
+static inline bool may_be_damaged(const fo_state *s)
+{
+    return s->round_index == 1U || is_never_reset(s);
+}
+
+/* Is this an invalid state of the observer, that is, zeros or overwritten memory? */
 #define fo_damaged FO_NAME(fo_damaged)
 bool fo_damaged(const fo_observer *o, const fo_state *s);
 

@@ -205,6 +205,8 @@ static void start_filter(const fo_adaptive *a, fo_adaptive_state *s, const seed_
     s->x[1] = point.direction[1];
     s->running = true;
     s->place = false;
+    s->std = point.std;
+    s->reason = FO_UNCERTAIN;
 }
 
 void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo_seed *seed,
