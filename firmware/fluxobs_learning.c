@@ -654,14 +654,14 @@ static void update_by_block(const fo_adaptive *a, fo_learner *s, const fo_block 
  * of L_q adds, which turns the position vector. */
 typedef struct {
     fo_real known, by_L_q;
-} flux_variance;
+} marginal_pair;
 
-static flux_variance marginal_variance(const fo_adaptive *a, const fo_learner *s,
+static marginal_pair marginal_variance(const fo_adaptive *a, const fo_learner *s,
                                        const fo_real across[FO_N], fo_real time,
                                        const fo_real moved[FO_NS], fo_real armature_flux_q)
 {
     enum { L_Q = (int)FO_NA - 1 };
-    flux_variance v;
+    marginal_pair v;
     fo_real direction[FO_NA] = {0};
     for (int i = 0; i < FO_N; i++) {
         direction[i] = across[i];
@@ -694,12 +694,12 @@ static void update_variances(const fo_adaptive *a, fo_learner *s, const fo_block
     const fo_real across[FO_N] = {-point->direction[1], point->direction[0]};
     fo_real next[FO_N], moved[FO_NS] = {0};
     const fo_real q = point->armature_flux[1];
-    const flux_variance now = marginal_variance(a, s, across, ZERO, moved, q);
+    const marginal_pair now = marginal_variance(a, s, across, ZERO, moved, q);
     for (int j = 0; j < (int)FO_NS; j++) { /* relative to the rotor, as in this block */
         moved[j] = dot(across, b->sensitivity[j]);
     }
     turn(across, fo_abs(b->turned) < ONE ? b->turned : ZERO, next);
-    const flux_variance then = marginal_variance(a, s, next, b->time, moved, q);
+    const marginal_pair then = marginal_variance(a, s, next, b->time, moved, q);
     r->variance_across = now.known;
     r->variance_by_L_q = now.by_L_q;
     r->armature_flux_q = q;

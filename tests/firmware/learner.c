@@ -3,9 +3,7 @@
  *
  * SPDX-License-Identifier: MIT
  */
-#include "fluxobs_learning.h"
-
-#include "fluxobs_internal.h"
+#include "fluxobs_fast.c"
 
 #include <stdio.h>
 #include <string.h>
@@ -36,11 +34,18 @@ int main(void)
     a.unmodelled = next();
     a.slow = next();
     a.plain.drift_prior_std = next();
+    a.plain.sample_time = next();
+    a.plain.hR[0][0] = next() * a.volt / 24.0;
+    a.lag_std = next();
+    a.delay_std = next();
+    a.current_gain_std = next();
+    a.magnet_error = next();
     a.plain.square_min = 0.0;
     for (int i = 0; i < FO_NP; i++) {
         a.std[i] = next();
     }
-    fo_learning_reset(&a, &s);
+    fo_learning_reset(&a, &s.learner);
+    s.report = s.learner.report;
     for (int i = 0; i < FO_N; i++) {
         s.flux[i] = next();
     }
@@ -49,48 +54,60 @@ int main(void)
     }
     for (int i = 0; i < (int)FO_NF; i++) {
         const double std = next();
-        s.d[i] = 1.0 / (std * std);
+        s.learner.d[i] = 1.0 / (std * std);
     }
     s.theta = next();
-    s.now.block.theta = s.theta;
     s.running = true;
-    s.emf_ratio = 0.0;
-    s.noise_level = 1.0;
-    s.innovation_power = 1.0;
+    s.learner.noise_level = 1.0;
+    s.learner.report.innovation_power = 1.0;
     const int rows = (int)next();
     for (int k = 0; k < rows; k++) {
-        fo_interval t;
+        double effect[FO_NP][FO_N];
+        const double none[FO_N] = {0.0, 0.0};
+        fo_linearisation point;
         for (int i = 0; i < FO_N; i++) {
-            t.v[i] = next();
+            s.plain.volt_seconds[i] = next();
         }
         for (int j = 0; j < FO_NP; j++) {
             for (int i = 0; i < FO_N; i++) {
-                t.sensitivity[j][i] = next();
+                effect[j][i] = next();
             }
         }
         for (int i = 0; i < FO_N; i++) { /* the learnt parameters correct the volt-seconds */
-            for (int j = FO_RESISTANCE; j < (int)FO_CURVE; j++) {
-                t.v[i] += s.p[j] * t.sensitivity[j][i];
+            for (int j = 0; j < (int)FO_NS; j++) {
+                const int n = (int)FO_RESISTANCE + j;
+                s.plain.volt_seconds[i] += s.learner.p[n] * effect[n][i];
+                s.block.sensitivity[j][i] += effect[n][i];
             }
             s.plain.current[0][i] = next();
         }
         s.plain.noise_inflation = next();
-        s.knee = next();
-        if (!(fo_learning_step(&a, &s, &t, true) > 0.0)) {
+        const double knee = next();
+        s.block.time += a.plain.h;
+        s.block.unmodelled +=
+            (INVERTER_UNMODELLED + KNEE_UNMODELLED * knee) * s.report.loss_size * a.plain.h;
+        if (!step_filter(&a, &s, true, &point)) {
             return 1;
         }
-        double out[2 * FO_N + FO_CURVE + 4];
+        if (fabs(s.block.turned) >= BLOCK || s.block.time >= BLOCK_MAX) {
+            post(&a, &s, none);
+            (void)fo_adaptive_learn(&a, &s);
+            if (receive(&a, &s)) {
+                return 1;
+            }
+        }
+        double out[2 * FO_N + FO_NP + 4];
         for (int i = 0; i < FO_N; i++) {
             out[i] = s.flux[i];
             out[FO_N + i] = s.drift[i];
         }
-        for (int j = 0; j < FO_CURVE; j++) {
-            out[2 * FO_N + j] = s.p[j];
+        for (int j = 0; j < FO_NP; j++) {
+            out[2 * FO_N + j] = s.learner.p[j];
         }
-        out[2 * FO_N + FO_CURVE] = s.noise_level;
-        out[2 * FO_N + FO_CURVE + 1] = s.innovation_power;
-        out[2 * FO_N + FO_CURVE + 2] = s.variance_across;
-        out[2 * FO_N + FO_CURVE + 3] = s.variance_by_L_q;
+        out[2 * FO_N + FO_NP] = s.learner.noise_level;
+        out[2 * FO_N + FO_NP + 1] = s.learner.report.innovation_power;
+        out[2 * FO_N + FO_NP + 2] = s.learner.report.variance_across;
+        out[2 * FO_N + FO_NP + 3] = s.learner.report.variance_by_L_q;
         (void)fwrite(out, sizeof out, 1, stdout);
     }
     return 0;

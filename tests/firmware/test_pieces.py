@@ -9,10 +9,10 @@ from support.firmware import COMPILERS, FIRMWARE, HARNESS
 
 @pytest.mark.parametrize("precision", ["-DFO_SINGLE=1", "-DFO_SINGLE=0"])
 def test_pieces_against_dense_matrices(tmp_path, precision):
-    """Test factors, transition, process noise, derivatives, effects, start, projection."""
+    """Test factors, transition, process noise, derivatives, sensitivities, rows of a block, start, projection."""
     program = tmp_path / "pieces"
     sources = [HARNESS / "pieces.c", FIRMWARE / "fluxobs.c", FIRMWARE / "fluxobs_map.c"]
-    sources += [FIRMWARE / f"fluxobs_{part}.c" for part in ("triangle", "candidates")]
+    sources += [FIRMWARE / f"fluxobs_{part}.c" for part in ("triangle", "candidates", "relation")]
     command = ["gcc", "-std=c99", "-O1", "-Wall", "-Werror", precision, f"-I{FIRMWARE}"]
     subprocess.run([*command, *sources, "-lm", "-o", program], check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=False)

@@ -1,13 +1,11 @@
 """Readable reference of the adaptive observer's learner, for one record: two stages, covariances.
 
 Firmware keeps flux, drift and parameters in one information factor (fluxobs_learning.c). The same
-estimate follows from Friedland's separation of a bias (doi:10.1109/TAC.1969.1099223), extended by
-considered parameters (Schmidt). With f = (λ, θ), p the parameters, c the curve of the inverter's
-loss:
+estimate follows from Friedland's separation of a bias (doi:10.1109/TAC.1969.1099223). With
+f = (λ, θ) and p the parameters:
 
-    f = f̂ + S (p - p̂) + S_c c + e_f,  cov e_f = P       given the parameters
-    p = p̂ + G c + e_p,               cov e_p = Q        given the curve
-    c ~ (0, 1)
+    f = f̂ + S (p - p̂) + e_f,  cov e_f = P       given the parameters
+    p = p̂ + e_p,              cov e_p = Q
 
 The fast stage processes every measurement row as if the parameters were known. The innovation of
 the fast stage, with its weight, is the measurement row of the slow stage. Everything is per-unit:
@@ -30,9 +28,9 @@ Array = NDArray[np.float64]
 BLOCK, BLOCK_MOST, MODEL = np.pi / 4, 0.3, 0.002
 INVERTER_UNMODELLED, KNEE_UNMODELLED, DRIFT_MEMORY = 0.05, 0.3, 100.0
 ROWS, CLIP, PROVEN, LEVEL_LEAST = 16.0, 25.0, 8.0, 0.02
-NEW_POINT, ROUND, DOUBT_LIMIT, HEAT_WALK, SINCE_MATTERS = 0.3, 16, 0.5, 0.1, 0.25
-#: Order of the parameters; the last, the curve, is a considered parameter.
-PSI, RESISTANCE, INVERTER, OFFSET, INDUCTANCE, CURVE = 0, 1, 2, 4, 6, 10
+NEW_POINT, ROUND, HEAT_WALK, SIXTH, LEARN_STD = 0.3, 16, 0.1, 0.3, np.pi / 9
+#: Order of the parameters, and their number.
+PSI, RESISTANCE, INVERTER, OFFSET, ASYMMETRY, INDUCTANCE, COUNT = 0, 1, 2, 4, 6, 8, 10
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
@@ -52,6 +50,12 @@ class Settings:
     unmodelled: float
     slow: float
     plausible: float
+    sample_time: float
+    resistance: float
+    lag_std: float
+    delay_std: float
+    current_gain_std: float
+    magnet_error: float
 
 
 @dataclass(frozen=True)
@@ -70,15 +74,15 @@ class Linearisation:
 class Block:
     """Sums over the samples since the last row."""
 
-    theta: float
+    turned: float = 0.0
     time: float = 0.0
     samples: int = 0
-    effect: Array = field(default_factory=lambda: np.zeros((CURVE + 1, 2)))
+    effect: Array = field(default_factory=lambda: np.zeros((COUNT, 2)))
     unmodelled: float = 0.0
     residual: float = 0.0
     slope: Array = field(default_factory=lambda: np.zeros(2))
     slope_time: Array = field(default_factory=lambda: np.zeros(2))
-    along: Array = field(default_factory=lambda: np.zeros(CURVE + 1))
+    along: Array = field(default_factory=lambda: np.zeros(COUNT))
 
 
 class LearningTwin:
@@ -88,18 +92,18 @@ class LearningTwin:
         self.a = settings
         self.f = np.concatenate([flux, drift])
         self.P = np.diag(np.asarray(stds, float) ** 2)
-        self.S = np.zeros((4, CURVE + 1))  # columns for parameters and curve
-        self.p = np.zeros(CURVE)  # published values; `best` also includes all prior re-injections
-        self.best = np.zeros(CURVE)
-        self.Q = np.eye(CURVE)
-        self.G = np.zeros(CURVE)
-        self.block = Block(theta)
+        self.S = np.zeros((4, COUNT))
+        self.p = np.zeros(COUNT)  # published values; `best` also includes all prior re-injections
+        self.best = np.zeros(COUNT)
+        self.Q = np.eye(COUNT)
+        self.theta = theta
+        self.block = Block()
         self.level = self.contradiction = 1.0
         self.rows = self.point_rows = self.since = self.passed = 0.0
-        self.across = self.across_at = self.turning = self.voltage_std = 0.0
+        self.across = self.growth = self.turning = 0.0
         self.point: Array = np.zeros(3)
         self.turn = self.loss_turn = 0
-        self.loss_std = self._loss_std()
+        self.loss_size = self._loss_size()
 
     # ---- a sample -------------------------------------------------------------------------
 
@@ -112,7 +116,7 @@ class LearningTwin:
         ----------
         v : (2,) ndarray
             Volt-seconds of the interval, corrected with the learnt parameters.
-        effect : (11, 2) ndarray
+        effect : (10, 2) ndarray
             Change of the volt-seconds by one standard deviation of each parameter.
         current : (2,) ndarray
             Measured current.
@@ -122,32 +126,26 @@ class LearningTwin:
         b.effect[RESISTANCE:] += effect[RESISTANCE:]
         b.time += a.h
         share = INVERTER_UNMODELLED + KNEE_UNMODELLED * knee
-        b.unmodelled += share * np.hypot(self._loss(), self.loss_std) * a.volt
+        b.unmodelled += share * self.loss_size * a.volt
         point = self._linearise(current)
         self._accumulate(point)
-        turned = abs(float(wrap(np.arctan2(point.x[1], point.x[0]) - b.theta)))
-        if turned >= BLOCK or b.time >= BLOCK_MOST:
-            self._finish_block(current, roughness, turned)
-            self.voltage_std = self._voltage_std(effect)
-        elif (self.voltage_std * (b.time - self.across_at)) ** 2 > SINCE_MATTERS * self.across:
-            self._update_across(point)
+        theta = float(np.arctan2(point.x[1], point.x[0]))
+        b.turned += float(wrap(theta - self.theta))
+        self.theta = theta
+        if abs(b.turned) >= BLOCK or b.time >= BLOCK_MOST:
+            self._finish_block(current, roughness)
         return self.f.copy(), self.p.copy()
 
-    def _loss(self) -> float:
-        """Return the inverter's loss, both parts [V]."""
+    def _loss_size(self) -> float:
+        """Return the root of the squares of the inverter's loss and its standard deviation [V]."""
         both = slice(INVERTER, INVERTER + 2)
-        return float(2 * self.a.inverter_mean + self.a.std[both] @ self.p[both])
-
-    def _loss_std(self) -> float:
-        """Return the standard deviation of the loss, including that of its curve [V]."""
-        a, both = self.a, slice(INVERTER, INVERTER + 2)
-        direction = np.zeros(CURVE + 1)
-        direction[both] = a.std[both]
-        direction[CURVE] = a.std[CURVE] * self._loss()
-        return float(np.sqrt(self._parameter_variance(direction)))
+        direction = np.zeros(COUNT)
+        direction[both] = self.a.std[both]
+        loss = 2 * self.a.inverter_mean + self.a.std[both] @ self.p[both]
+        return float(np.sqrt(loss**2 + self._parameter_variance(direction)))
 
     def _linearise(self, current: Array) -> Linearisation:
-        a, value = self.a, self.a.std[:CURVE] * self.p
+        a, value = self.a, self.a.std * self.p
         i = current - value[OFFSET : OFFSET + 2]
         error_d, error_q = value[INDUCTANCE : INDUCTANCE + 2]
         L_d, L_q = a.L + a.saliency, a.L
@@ -175,51 +173,68 @@ class LearningTwin:
 
     # ---- a measurement row ----------------------------------------------------------------
 
-    def _finish_block(self, current: Array, roughness: float, turned: float) -> None:
+    def _finish_block(self, current: Array, roughness: float) -> None:
         a, b = self.a, self.block
-        share = min(turned / BLOCK, 1.0)
+        turned = abs(b.turned)
+        share = turned / BLOCK
         inverter = b.unmodelled / b.time
         self._propagate(b, (a.unmodelled * b.time) ** 2 + b.unmodelled**2)
         self._forget_drift(b.time)
-        if share > 1e-6:
+        if turned > 1e-6:
             n = b.samples
             at, speed = self._linearise(current), turned / b.time
             fast = np.concatenate([b.slope, b.slope_time - b.time * b.slope]) / n
             slow = b.along / n - b.effect @ fast[:2]
-            value = -b.residual / n
-            information = share / (MODEL**2 + a.through_L * roughness / n)
+            curvature = (self.across + self.growth * b.time**2) / at.length
+            value = -b.residual / n - curvature / 2
+            noise = a.through_L * roughness * max(share, 1.0) / n
+            information = share / (MODEL**2 + curvature**2 / 2 + noise)
             value, slow, information = self._update_fast(fast, slow, value, information)
             outlier = self._assess(slow, value, information, share)
             if outlier:
                 self._forget_drift(DRIFT_MEMORY)
             rows = self._rows_at_point(at, speed, share)
-            if not outlier and speed > 0:
-                shape = inverter / speed
-                weight = 1 / ((rows / information + shape**2) * max(self.level, 1.0))
-                self._learn(slow, value, weight, b.time)
+            if curvature < LEARN_STD**2 * at.length:
+                if not outlier:
+                    weight = self._weight(at, rows, information, speed, inverter / speed)
+                    self._learn(slow, value, weight)
+                self._forget(b.time)
         at = self._linearise(current)
         self.loss_turn = (self.loss_turn + 1) % 3
         if self.loss_turn == 2:
-            self.loss_std = self._loss_std()
-        self.block = Block(float(np.arctan2(at.x[1], at.x[0])))
-        self._update_across(at)
+            self.loss_size = self._loss_size()
+        self._update_variances(at, b)
+        self.block = Block()
 
-    def _update_across(self, at: Linearisation) -> None:
-        self.across, self.turning = self._across(at, self.block)
-        self.across_at = self.block.time
-
-    def _voltage_std(self, effect: Array) -> float:
-        """Return the voltage error of resistance and inverter for an interval with this effect."""
-        direction = np.zeros(CURVE + 1)
-        direction[RESISTANCE:OFFSET] = np.hypot(*effect[RESISTANCE:OFFSET].T)
-        return float(np.sqrt(self._parameter_variance(direction))) / self.a.h
-
-    def _across(self, at: Linearisation, b: Block) -> tuple[float, float]:
-        """Return the variance across the position vector's direction, and the share from L_q."""
+    def _weight(
+        self, at: Linearisation, rows: float, information: float, speed: float, shape: float
+    ) -> float:
+        """Return the information of a row about the parameters."""
         a = self.a
+        armature = float(np.sum(np.square(at.current_flux)))
+        omega = speed * a.h / a.sample_time
+        late = armature * omega**2 * (a.lag_std**2 + a.delay_std**2)
+        oscillating = (SIXTH * a.magnet_error) ** 2 + armature * a.current_gain_std**2
+        variance = rows * (1 / information + late) + shape**2 + oscillating
+        return 1 / (variance * max(self.level, 1.0))
+
+    def _update_variances(self, at: Linearisation, b: Block) -> None:
+        """Variance across now, and its growth if the next block is like this one."""
         across = J @ at.d
-        to_fast = np.concatenate([across, b.time * across])
-        to_slow = to_fast @ self.S + b.effect @ across
+        half = b.turned / 2 if abs(b.turned) < 1 else 0.0
+        tangent = half * (15 - half**2) / (15 - 6 * half**2)  # as in C: to within 1e-3
+        next_ = ((1 - tangent**2) * across + 2 * tangent * (J @ across)) / (1 + tangent**2)
+        self.across, self.turning = self._across(at, across, 0.0, np.zeros(COUNT))
+        then, _ = self._across(at, next_, b.time, b.effect @ across)
+        self.growth = max(then - self.across, 0.0) / b.time**2
+
+    def _across(
+        self, at: Linearisation, across: Array, time: float, moved: Array
+    ) -> tuple[float, float]:
+        """Return the variance of the flux across the position vector, and what L_q adds."""
+        a = self.a
+        to_fast = np.concatenate([across, time * across])
+        to_slow = to_fast @ self.S + moved
         to_slow[OFFSET : OFFSET + 2] += a.L * a.std[OFFSET : OFFSET + 2] * across
         level = max(self.level, LEVEL_LEAST)
         without_L_q = self._parameter_variance(to_slow)
@@ -258,10 +273,8 @@ class LearningTwin:
         return value, row, 1 / variance
 
     def _parameter_variance(self, slow: Array) -> float:
-        """Return the variance that uncertain parameters and curve contribute to a row."""
-        return float(
-            slow[:CURVE] @ self.Q @ slow[:CURVE] + (slow[CURVE] + slow[:CURVE] @ self.G) ** 2
-        )
+        """Return the variance that uncertain parameters contribute to a row."""
+        return float(slow @ self.Q @ slow)
 
     def _assess(self, slow: Array, value: float, information: float, share: float) -> bool:
         """Update the innovations' power and contradiction; return whether the row is an outlier."""
@@ -289,40 +302,38 @@ class LearningTwin:
 
     # ---- the parameters -----------------------------------------------------------------------
 
-    def _learn(self, slow: Array, value: float, weight: float, time: float) -> None:
-        row = slow[:CURVE]
+    def _learn(self, row: Array, value: float, weight: float) -> None:
         # The row refers to the published parameters.
         innovation = value - row @ (self.best - self.p)
         gain = self.Q @ row / (row @ self.Q @ row + 1 / weight)
         self.best = self.best + gain * innovation
-        self.G = self.G - gain * (slow[CURVE] + row @ self.G)
         self.Q = self.Q - np.outer(gain, row @ self.Q)
-        new = self._not_negative(self.best)
-        self.f = self.f + self.S[:, :CURVE] @ (new - self.p)
+        new = self._not_negative(self.best, slice(RESISTANCE, RESISTANCE + 1), self.a.resistance)
+        new = self._not_negative(new, slice(INVERTER, INVERTER + 2), 2 * self.a.inverter_mean)
+        self.f = self.f + self.S @ (new - self.p)
         self.p = new
-        self._forget(time)
 
-    def _not_negative(self, p: Array) -> Array:
-        """Return the likeliest parameters for which the inverter adds no voltage."""
-        a = self.a
-        w = np.zeros(CURVE)
-        w[INVERTER : INVERTER + 2] = a.std[INVERTER : INVERTER + 2]
-        volts = 2 * a.inverter_mean + w @ p
-        if volts >= 0:
+    def _not_negative(self, p: Array, of: slice, mean: float) -> Array:
+        """Return the likeliest parameters for which this value is not negative."""
+        w = np.zeros(COUNT)
+        w[of] = self.a.std[of]
+        value = mean + w @ p
+        if value >= 0:
             return p.copy()
-        along = self.Q @ w + self.G * (self.G @ w)
-        return np.asarray(p - along * volts / (w @ along))
+        along = self.Q @ w
+        return np.asarray(p - along * value / (w @ along))
 
     def _forget(self, time: float) -> None:
         """Scale the information once per round; re-inject the prior, one parameter per row."""
         self.since += time * self.a.slow
         self.turn = (self.turn + 1) % ROUND
-        if self.turn < CURVE:
+        if self.turn < COUNT:
             if self.passed > 0:
-                n = self.turn
+                n = [*range(ASYMMETRY), INDUCTANCE, INDUCTANCE + 1, ASYMMETRY, ASYMMETRY + 1][
+                    self.turn
+                ]
                 gain = self.Q[:, n] / (self.Q[n, n] + 1 / self.passed)
                 self.best = self.best - gain * self.best[n]
-                self.G = self.G - gain * self.G[n]
                 self.Q = self.Q - np.outer(gain, self.Q[n])
         elif self.turn == ROUND - 1:
             self.passed, self.since = min(self.since, 0.5), 0.0
