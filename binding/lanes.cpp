@@ -113,7 +113,8 @@ inline V atan2_of(V y, V x) {
 #define LANE_ARRAYS(X)                                                                         \
     X(info.U, FO_TRIANGLE) X(info.d, FO_NX) X(info.z, FO_NX) X(info.noise, 3) X(x, FO_NX)      \
     X(current[0], FO_N) X(current[1], FO_N) X(current[2], FO_N) X(current[3], FO_N)            \
-    X(source, FO_N) X(held_source, FO_N) X(source_step, FO_N) X(flux, FO_N) X(drift, FO_N)
+    X(source, FO_N) X(volt_seconds, FO_N) X(held_source, FO_N) X(source_step, FO_N)             \
+    X(flux, FO_N) X(drift, FO_N)
 
 struct Factor {
     V U[FO_TRIANGLE], d[FO_NX], z[FO_NX], noise[3];
@@ -122,7 +123,7 @@ struct Factor {
 struct Lanes {
     Factor info;
     V x[FO_NX], current[FO_HISTORY][FO_N], source[FO_N], held_source[FO_N], source_step[FO_N];
-    V flux[FO_N], drift[FO_N];
+    V volt_seconds[FO_N], flux[FO_N], drift[FO_N];
     V step, length, noise_ratio, noise_inflation, voltage_turn, innovation, power, lag_one,
         noise_share, inflation, angle_variance, drift_prior, theta, rotation, variance,
         variance_growth, open_loop_time, open_loop_length, open_loop_error;
@@ -399,6 +400,7 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Estimates &e) {
     for (int i = 0; i < FO_N; i++) {
         l.current[0][i] = s.current[i];
         l.source[i] = s.source[i];
+        l.volt_seconds[i] = s.t.v[i];
         l.held_source[i] = s.held_source[i];
         l.source_step[i] = s.source_step[i];
     }

@@ -304,9 +304,11 @@ bool fo_damaged(const fo_observer *o, const fo_state *s)
         }
         /* Largest third difference of currents, and largest drift with a widened prior. */
         const fo_real current_max = (fo_real)16 * o->current_limit;
+        const fo_real ratio_max = ONE + current_max * current_max * o->over_noise;
         const fo_real drift = WIDEN * FLUX_STEP_LIMIT, least = s->drift_prior * drift * drift;
         damaged = damaged || sum != ZERO ||
-                  !within(s->noise_ratio, ZERO, ONE + current_max * current_max * o->over_noise) ||
+                  !within(s->noise_ratio, ZERO, ratio_max) ||
+                  !(s->info.noise[0] * o->h <= TWO * o->noise_information * ratio_max) ||
                   !(least >= o->h * o->h) ||
                   !(s->drift_prior * o->drift_prior_std * o->drift_prior_std <= TWO);
     }

@@ -32,8 +32,8 @@ static const fo_real CONTRADICTION = (fo_real)9;
 /* If the filter loses the position within this many rows (two turns), its parameters are reset
  * [1]. */
 static const fo_real EARLY_ROWS = (fo_real)16;
-/* The filter is wrong if the power of its innovations exceeds this limit [1]: ten stds. */
-static const fo_real INNOVATION_POWER_MAX = (fo_real)100;
+/* The filter is wrong if the power of its innovations exceeds this limit [1]: four stds. */
+static const fo_real INNOVATION_POWER_MAX = (fo_real)16;
 /* The filter is wrong if a parameter is this many stds from its prior [1]. */
 static const fo_real PARAMETER_STDS_MAX = (fo_real)4;
 /* The filter is wrong if its angle differs from the guard's by 20 degrees for a turn [rad, rad]. */
@@ -367,7 +367,7 @@ static bool receive(const fo_adaptive *a, fo_adaptive_state *s)
         } else {
             take_candidate(a, s, answer);
         }
-        s->mail.owner = FO_MAIL_FREE;
+        FO_RELEASE(s->mail.owner, FO_MAIL_FREE);
     }
     return wrong;
 }
@@ -381,7 +381,7 @@ static void stop_filter(const fo_adaptive *a, fo_adaptive_state *s, bool wrong)
     s->rotation = ZERO;
     s->other_weight = ONE / TWO;
     s->place = true;
-    s->discard = s->mail.owner != FO_MAIL_FREE;
+    s->discard = FO_ACQUIRE(s->mail.owner) != FO_MAIL_FREE;
     clear_block(s);
     if (wrong) {
         s->restarts++;
@@ -632,7 +632,7 @@ static void update_status(const fo_adaptive *a, fo_adaptive_state *s,
     const bool ended = fo_abs(s->block.turned) >= BLOCK || s->block.time >= BLOCK_MAX;
     if (wrong || lost) {
         stop_filter(a, s, wrong || early);
-    } else if (ended && s->mail.owner == FO_MAIL_FREE) {
+    } else if (ended && FO_ACQUIRE(s->mail.owner) == FO_MAIL_FREE) {
         post(a, s, mean);
     } else {
         /* the block lasts until the learner is free */
@@ -733,7 +733,7 @@ static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real 
             /* the estimate is still that of the plain observer */
         }
     }
-    if (s->mail.owner == FO_MAIL_FREE) {
+    if (FO_ACQUIRE(s->mail.owner) == FO_MAIL_FREE) {
         post(a, s, mean);
     }
 }
@@ -824,7 +824,7 @@ static void prepare_sample(const fo_adaptive *a, fo_adaptive_state *s)
         fo_adaptive_reset(a, s);
         s->plain.restarts = restarts + 1U;
         if (owner == FO_MAIL_WITH_LEARNER) { /* it may be at work on the mail */
-            s->mail.owner = owner;
+            FO_RELEASE(s->mail.owner, owner);
             s->discard = true;
         }
     }

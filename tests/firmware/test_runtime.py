@@ -197,7 +197,7 @@ def test_the_layout_has_a_number_of_its_own():
     Blobs of earlier versions are then refused."""
     plain = list(_core.meanings)
     more = list(_core.adaptive_meanings)
-    assert (_core.layout, len(plain), len(more)) == (1, 24, 12)
+    assert (_core.layout, len(plain), len(more)) == (2, 24, 16)
     assert plain[:4] == ["Q1x2", "E", "row_Q2", "row_Q3"]
     assert plain[-3:] == ["position_noise", "sample_time", "track"]
     assert more[-3:] == ["unmodelled", "slow", "projection"]

@@ -345,6 +345,10 @@ def test_standard_deviations_are_consistent():
                 inverter=2.0,
                 inductance=0.0,
                 lag=0.0,
+                delay=0.0,
+                current_gain=0.0,
+                iron_current=0.0,
+                harmonics=0.0,
             ),
         )
         estimate = observer.run(samples.voltage, samples.current)
