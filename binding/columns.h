@@ -9,7 +9,8 @@
     X(drift_std, drift_std) X(psi_f, psi_f) X(psi_f_std, psi_f_std)                      \
     X(resistance_error, resistance_error) X(resistance_std, resistance_std)              \
     X(inverter_voltage, inverter_voltage) X(inverter_std, inverter_voltage_std)          \
-    X(theta_other, theta_e_other) X(weight_other, weight_other) X(adapting, adapting)
+    X(theta_other, theta_e_other) X(weight_other, weight_other) X(adapting, adapting)     \
+    X(position.valid_reason, valid_reason)
 
 /* Columns of the numbers of an estimate, in the order of the lists; `valid` is separate. */
 #define COUNT_VECTOR(name) +FO_N
@@ -35,7 +36,7 @@ static inline void write_adaptive(const fo_adaptive_estimate *e, double *row, si
 {
     size_t at = COLUMNS;
     write_plain(&e->position, row, plane);
-#define PUT_MEMBER(member, name) row[plane * at++] = e->member;
+#define PUT_MEMBER(member, name) row[plane * at++] = (double)e->member;
     ADAPTIVE_ESTIMATE_FIELDS(PUT_MEMBER)
 }
 

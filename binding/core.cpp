@@ -175,6 +175,14 @@ nb::dict meanings(bool adaptive) {
     return out;
 }
 
+// Words of why a position is not valid, by number.
+nb::list reasons() {
+    nb::list out;
+#define REASON_WORD(name, word) out.append(word);
+    FO_REASONS(REASON_WORD)
+    return out;
+}
+
 // name -> value, for the thresholds of the plain observer.
 nb::dict thresholds() {
     nb::dict out;
@@ -563,6 +571,7 @@ NB_MODULE(FLUXOBS_MODULE, m) {
     m.attr("xla_step") = nb::capsule(reinterpret_cast<void *>(&xla_step));
     m.attr("xla_adaptive_step") = nb::capsule(reinterpret_cast<void *>(&xla_adaptive_step));
     m.attr("layout") = static_cast<int>(FO_LAYOUT);
+    m.attr("reasons") = reasons();
     m.attr("state_bytes") = sizeof(fo_state);
     m.attr("adaptive_state_bytes") = sizeof(fo_adaptive_state);
 }

@@ -20,6 +20,8 @@ thresholds: dict[str, float]
 usual: dict[str, float]
 #: Number of the order of the numbers that firmware/fluxobs_keep.h packs.
 layout: int
+#: Words of why a position is not valid, by number.
+reasons: list[str]
 state_bytes: int
 adaptive_state_bytes: int
 

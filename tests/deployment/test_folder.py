@@ -86,7 +86,7 @@ def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
 @pytest.mark.parametrize(
     ("code", "changed"),
     [
-        ("e->valid = e->valid && !bad;", "e->valid = e->valid || bad;"),
+        ("if (e->valid && bad) {", "if (e->valid && bad && !bad) {"),
         ("FO_MAX_CONSECUTIVE_BAD)) {", "FO_MAX_CONSECUTIVE_BAD / 3U)) {"),
         ("TRACKER_SETTLED ((fo_real)0.1)", "TRACKER_SETTLED ((fo_real)0.11)"),
         ("VOLTAGE_LIMIT (PI / (fo_real)22.5)", "VOLTAGE_LIMIT (PI / (fo_real)22)"),
@@ -162,7 +162,7 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
     ("file", "code", "changed"),
     [
         ("learning", "MODEL = (fo_real)0.002", "MODEL = (fo_real)0.004"),
-        ("adaptive", "q->theta_e = s->theta", "q->theta_e = (fo_real)0.01 + s->theta"),
+        ("fast", "q->theta_e = s->theta", "q->theta_e = (fo_real)0.01 + s->theta"),
     ],
 )
 def test_a_change_of_the_adaptive_observer_is_detected(tmp_path, file, code, changed):

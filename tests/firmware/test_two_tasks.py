@@ -54,7 +54,9 @@ def check(result, samples, share, rms):
     assert np.sqrt(np.mean(error[settled] ** 2)) < rms
 
 
-@pytest.mark.parametrize(("every", "share", "rms"), [(1, 0.9, 0.1), (10, 0.9, 0.1), (50, 0.85, 0.2)])
+@pytest.mark.parametrize(
+    ("every", "share", "rms"), [(1, 0.9, 0.1), (10, 0.9, 0.1), (50, 0.85, 0.2)]
+)
 def test_late_learner(build, samples, every, share, rms):
     """At 8 kHz, calls at 800 Hz and at 160 Hz: blocks wait, and are merged, without loss."""
     check(run(build("late"), str(every), samples), samples, share, rms)

@@ -84,7 +84,7 @@ def test_standard_deviations_of_learnt_parameters(
     parameters, plain = observer.parameters(), observer.plain.parameters()
     inverter = max(0.25 * drop, 0.02 * dc_link) / np.sqrt(2)
     resistance, offset = 0.5 * drop / current, 0.02 * current
-    std = [0.25, resistance, inverter, inverter, offset, offset, 0.1, 0.1, 0.01, 0.01, 0.15]
+    std = [0.25, resistance, inverter, inverter, offset, offset, 0.01, 0.01, 0.1, 0.1]
     expected = {
         "std": std,
         "saliency": saliency / psi,
@@ -94,6 +94,10 @@ def test_standard_deviations_of_learnt_parameters(
         "over_current": [100 / current, 100 / 6 / current],  # 0.2 and 1.2 of a twentieth
         "over_rated": 1 / current,
         "lag_std": 1.5e-5,
+        "delay_std": 2e-5,
+        "current_gain_std": 0.01,
+        "iron_flux": 0.01 * current * (L_noise / (0.002 * current) - saliency) / psi,
+        "magnet_error": 0.015,
         "through_L": (L_noise / psi) ** 2,
         "unmodelled": 0.1 * plain["drift_prior_std"],
         "slow": 0.03 / 100,

@@ -20,7 +20,7 @@ MACHINE = example("pmsm-2kw2")
 EFFECTS = {
     "nothing": (Imperfect(), 0.1, 0.1),
     "harmonics, 2 %": (Imperfect(fifth=0.02, seventh=0.02), 1.4, 0.4),
-    "harmonics, 5 %": (Imperfect(fifth=0.05, seventh=0.05), 4.5, 1.0),
+    "harmonics, 5 %": (Imperfect(fifth=0.05, seventh=0.05), 4.5, 1.3),
     "saliency, 20 %": (Imperfect(saliency=0.2), 2.5, 2.5),
     "weak magnets, 15 %": (Imperfect(flux=0.85), 0.1, 0.1),
     "resistance, 40 %": (Imperfect(heating=1.4), 1.8, 2.2),

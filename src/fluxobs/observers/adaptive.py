@@ -28,6 +28,12 @@ from .unknowns import ADAPTED
 Projection = Literal["never", "start"]
 PROJECTIONS: tuple[Projection, ...] = ("never", "start")
 
+#: Why a position is not valid, by the number in `valid_reason`; the words of fluxobs.h.
+REASONS = (
+    *("valid", "no data", "searching", "settling", "slow", "uncertain", "contradicted"),
+    *("unconfirmed", "outside map", "bad sample"),
+)
+
 #: Default standard deviations: of resistance, magnet flux and inductance as shares of their values;
 #: of the inverter's voltage as shares of the rated resistive drop and of the DC link.
 RESISTANCE_SHARE: float = _core.usual["RESISTANCE_SHARE"]
@@ -171,6 +177,9 @@ class AdaptiveEstimate(Estimate):
             boolean=True,
             in_files=False,
         )
+    )
+    valid_reason: Array = field(
+        metadata=output("", "Why the position is not valid: an index of REASONS", in_files=False)
     )
 
 
