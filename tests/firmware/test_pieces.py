@@ -9,7 +9,7 @@ from support.firmware import COMPILERS, FIRMWARE, HARNESS
 
 @pytest.mark.parametrize("precision", ["-DFO_SINGLE=1", "-DFO_SINGLE=0"])
 def test_pieces_against_dense_matrices(tmp_path, precision):
-    """Test factors, transition, process noise, derivatives, sensitivities, rows of a block, start, projection."""
+    """Test factors, transition, process noise, derivatives, rows of a block, start, projection."""
     program = tmp_path / "pieces"
     sources = [HARNESS / "pieces.c", FIRMWARE / "fluxobs.c", FIRMWARE / "fluxobs_map.c"]
     sources += [FIRMWARE / f"fluxobs_{part}.c" for part in ("triangle", "candidates", "relation")]

@@ -24,3 +24,18 @@ def cost_table(costs: Mapping[str, Any]) -> str:
         for build in costs["builds"]
     ]
     return "\n".join([head, "|---|---|---|---|---|---|---|", *rows, "", f"{costs['compiler']}."])
+
+
+def task_table(costs: Mapping[str, Any]) -> str:
+    """Return the costs of an interrupt and a slower task as a Markdown table."""
+    head = (
+        "| | interrupt: mean | most | bound | stack [bytes] | task: mean | most | bound "
+        "| stack [bytes] |"
+    )
+    rows = [
+        f"| {build['name']} | {build['mean']} | {build['most']} | {build.get('bound') or ''} "
+        f"| {build['stack']} | {build['learn_mean']} | {build['learn_most']} "
+        f"| {build.get('learn_bound') or ''} | {build['learn_stack']} |"
+        for build in costs["builds"]
+    ]
+    return "\n".join([head, "|---|---|---|---|---|---|---|---|---|", *rows])

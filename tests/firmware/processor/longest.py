@@ -16,8 +16,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 #: Functions of the harness that call the step: when one of them continues, the call has ended.
-CALLERS = ("timed_step", "timed_learning", "main", "step", "check_replay")
-CALLERS += ("fo_adaptive_step_single",)
+CALLERS = (
+    "timed_step",
+    "timed_learning",
+    "main",
+    "step",
+    "check_replay",
+    "fo_adaptive_step_single",
+)
 NO_INSTRUCTION = (".word", ".short", ".byte")
 
 
@@ -32,10 +38,10 @@ def calls(program: Path, board: str, step: str) -> Iterator[Counter[int]]:
         command += ["-serial", "none", "-semihosting-config", "enable=on,target=native"]
         command += ["-d", "exec,nochain,in_asm", "-D", trace, "-kernel", program]
         subprocess.run(command, check=False, capture_output=True, timeout=300)
-        yield from _read(trace, entry)
+        yield from _read(trace, entry, step)
 
 
-def _read(trace: Path, entry: int) -> Iterator[Counter[int]]:
+def _read(trace: Path, entry: int, step: str) -> Iterator[Counter[int]]:
     blocks: dict[int, list[int]] = {}  # address → addresses of the instructions in the block
     functions: dict[int, str] = {}
     function, block = "", list[int]()
@@ -52,7 +58,7 @@ def _read(trace: Path, entry: int) -> Iterator[Counter[int]]:
                     blocks[block[0]], functions[block[0]], block = block, function, []
                 if call is None and at == entry:
                     call = Counter()
-                elif call is not None and functions[at] in CALLERS:
+                elif call is not None and functions[at] in CALLERS and functions[at] != step:
                     ran: Counter[int] = Counter()
                     for first, times in call.items():
                         for address in blocks[first]:
