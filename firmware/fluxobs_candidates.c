@@ -348,15 +348,18 @@ static void answer_candidate(const fo_candidate *c, fo_answer_kind kind, fo_answ
 static void fit(const fo_adaptive *a, fo_learner *s, const fo_mail *m, fo_search *search,
                 fo_answer *answer)
 {
-    const uint32_t samples = m->block.samples;
-    const uint32_t steps = samples < (uint32_t)FO_CANDIDATES ? samples : (uint32_t)FO_CANDIDATES;
     fo_manifold information;
-    choice c = {0};
-    for (uint32_t n = 0U; n < steps && !c.decided; n++) {
+    choice c;
+    (void)memset(&c, 0, sizeof c);
+    (void)memset(&information, 0, sizeof information);
+    uint32_t steps = m->block.samples;
+    steps = steps < (uint32_t)FO_CANDIDATES ? steps : (uint32_t)FO_CANDIDATES;
+    while (steps > 0U && !c.decided) {
         const int stepped = (int)search->next;
         search->next = (search->next + 1U) % (uint32_t)FO_CANDIDATES;
         fo_gauss_newton_step(a, s, m, &search->candidates[stepped], &information);
         choose(a, s, m, search, stepped, &c, &answer->other_direction);
+        steps--;
     }
     answer->other_weight = c.second_weight;
     if (c.has_best) {

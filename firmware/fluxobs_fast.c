@@ -195,7 +195,7 @@ static void update_emf_ratio(const fo_adaptive *a, fo_adaptive_state *s, fo_real
 
 /* Linearises the map at the filter's own angle, because the guard's angle may differ. A cage's map
  * does not depend on the angle. */
-static const fo_map_point *linearise_map(const fo_adaptive *a, fo_adaptive_state *s)
+static const fo_map_point *linearise_filter_map(const fo_adaptive *a, fo_adaptive_state *s)
 {
 #if FO_MAPPED
     const fo_observer *o = &a->plain;
@@ -591,7 +591,7 @@ static bool step_filter(const fo_adaptive *a, fo_adaptive_state *s, bool add,
                         fo_linearisation *point)
 {
     const fo_observer *o = &a->plain;
-    const fo_map_point *map = linearise_map(a, s);
+    const fo_map_point *map = linearise_filter_map(a, s);
     for (int i = 0; i < FO_N; i++) {
         s->flux[i] += s->plain.volt_seconds[i] + o->h * s->drift[i];
     }
@@ -709,7 +709,7 @@ static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real 
     const fo_real turned =
         s->plain.trusted ? fo_abs(s->plain.tracker.speed) * a->plain.sample_time : ZERO;
     update_emf_ratio(a, s, ONE, s->plain.length, turned);
-    (void)linearise_map(a, s);
+    (void)linearise_filter_map(a, s);
     s->block.samples++;
     for (int i = 0; i < FO_N; i++) {
         s->block.volt_seconds[i] += s->plain.volt_seconds[i];

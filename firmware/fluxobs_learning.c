@@ -153,7 +153,7 @@ static void propagate(fo_learner *s, const fo_block *b)
             row[j] -= b->time * by_flux[j];
         }
         for (int j = 0; j < (int)FO_NS; j++) {
-            row[FO_N + FO_RESISTANCE + j] -= dot(by_flux, b->sensitivity[j]);
+            row[(int)FO_N + (int)FO_RESISTANCE + j] -= dot(by_flux, b->sensitivity[j]);
         }
     }
 }
@@ -279,6 +279,7 @@ static fo_real sum_of_products(const fo_real by_one[FO_N], const fo_real by_h[3]
 /* Weighted sums over the block. */
 static void sum_rows(const fo_adaptive *a, const fo_block *b, const fo_sums *sums, block_rows *r)
 {
+    (void)memset(r, 0, sizeof *r);
     for (int w = 0; w < (int)FO_NW; w++) {
         fo_real *row = r->row[w];
         for (int i = 0; i < FO_N; i++) {
@@ -514,8 +515,9 @@ static void constrain(const fo_adaptive *a, const fo_learner *s, int n, int coun
             y[j] = direction[j] / s->d[j];
         }
         fo_solve(FO_NA, s->U, y, FO_NF, FO_NA, direction);
-        for (int j = FO_NF; j < (int)FO_NA && variance > ZERO; j++) {
-            x[j] -= direction[j] * value / variance;
+        const fo_real share = variance > ZERO ? value / variance : ZERO;
+        for (int j = FO_NF; j < (int)FO_NA; j++) {
+            x[j] -= direction[j] * share;
         }
     }
 }
@@ -687,7 +689,7 @@ static marginal_pair marginal_variance(const fo_adaptive *a, const fo_learner *s
 /* Variances at the block's end, and at the end of a next block with the same voltages relative to
  * the rotor. At steady load the rows have correlated the errors of the parameters with the flux,
  * and these errors add almost nothing. */
-static void update_variances(const fo_adaptive *a, fo_learner *s, const fo_block *b,
+static void update_report_variances(const fo_adaptive *a, fo_learner *s, const fo_block *b,
                              const fo_linearisation *point)
 {
     fo_learning_report *r = &s->report;
@@ -728,7 +730,7 @@ static void learn_block(const fo_adaptive *a, fo_learner *s, const fo_mail *m, f
     const fo_real flux[FO_N] = {end->flux[0] + answer->flux[0], end->flux[1] + answer->flux[1]};
     fo_learning_values(a, s, answer->value);
     fo_linearise(a, answer->value, flux, end->current, map_of(end), &point);
-    update_variances(a, s, b, &point);
+    update_report_variances(a, s, b, &point);
     fo_learning_update_voltage_std(a, s, end);
     s->report_index = s->report_index < 2U ? s->report_index + 1U : 0U;
     update_reported_std(a, s, s->report_index);

@@ -182,6 +182,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     more_config.L_d_std = (most & 4U) ? about(&b, 0.1) : (fo_real)0;
     more_config.L_q_std = (most & 4U) ? about(&b, 0.1) : (fo_real)0;
     more_config.lag_std = (most & 8U) ? about(&b, 1e-5) : (fo_real)0;
+    more_config.delay_std = more_config.lag_std;
+    more_config.current_gain_std = (most & 8U) ? (fo_real)0.01 : (fo_real)0;
+    more_config.iron_current_std = (most & 8U) ? about(&b, 0.1) : (fo_real)0;
+    more_config.harmonic_std = more_config.current_gain_std;
     more_config.slow_memory = (more & 64U) ? about(&b, 100.0) : (fo_real)100;
     more_config.projection = (fo_projection)(more % 2U);
     o.both = fo_adaptive_init(&o.adaptive, &c, &more_config) == FO_OK;
