@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -31,6 +32,7 @@ from fluxobs.campaigns.simulated import select_scored
 from fluxobs.campaigns.specification import Specification
 from fluxobs.core.arrays import Array
 from fluxobs.errors import FluxobsError
+from fluxobs.machines import example
 from fluxobs.simulation.drive.simulate import check, simulate_lanes, substeps
 
 MACHINES = (
@@ -56,6 +58,8 @@ class Drive:
     current: Array
     theta: Array
     lag: float
+    resistance: float
+    psi: float
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,8 @@ class Score:
     everywhere: float
     ratio: float
     lag_weight: float
+    sure_and_wrong: bool
+    parameters: tuple[float, ...]
 
 
 def errors(rng: np.random.Generator, machine: str) -> dict[str, float]:
@@ -166,7 +172,12 @@ def simulated(machine: str, course: str, drives: int, seed: int, late: bool = Fa
         voltage, lag = np.array(trace.voltage[n]), 0.0
         if late and n % 2:
             voltage, lag = np.concatenate([voltage[1:], voltage[-1:]]), -1.0
-        found.append(Drive(machine, h, voltage, current, np.array(trace.theta_e[n]), lag))
+        values = scenarios[n].values
+        model = example(machine)
+        resistance = np.nan if "heat" in values else model.R_s * values.get("R", 1.0)
+        psi = (model.magnet_flux or np.nan) * values.get("psi", 1.0)
+        theta = np.array(trace.theta_e[n])
+        found.append(Drive(machine, h, voltage, current, theta, lag, resistance, psi))
     return found
 
 
@@ -192,7 +203,17 @@ def score(given: tuple[Drive, bool, bool, str | None]) -> Score:
         float(np.sqrt(np.mean(error**2))),
         float(np.mean((error[valid] / std[valid]) ** 2)) if valid.any() else np.nan,
         np.nan if result.lag is None else result.lag.weights[drive.lag],
+        bool((valid & (error > 10) & (error > 5 * std)).any()),
+        tuple(parameter_errors(drive, result.learnt)),
     )
+
+
+def parameter_errors(drive: Drive, learnt: Any) -> Iterator[float]:
+    """Yield the errors of resistance and magnet flux at the end, in standard deviations."""
+    if learnt is not None and np.isfinite(drive.resistance):
+        yield abs(learnt.resistance - drive.resistance) / learnt.resistance_std
+    if learnt is not None and np.isfinite(drive.psi) and learnt.psi_f_std > 0:
+        yield abs(learnt.psi_f - drive.psi) / learnt.psi_f_std
 
 
 def line(title: str, scores: list[Score]) -> str:
@@ -247,6 +268,12 @@ def main() -> None:
             print(line(machine, own), flush=True)
             scores += own
     print(line("all", scores))
+    far = np.array([error for score in scores for error in score.parameters])
+    print(
+        f"    drives with a valid row beyond 10 deg and 5 sigma: "
+        f"{sum(score.sure_and_wrong for score in scores)} of {len(scores)}; R, psi beyond 3 sigma "
+        f"at the end: {np.mean(far > 3):.1%} of {len(far)}"
+    )
     weights = np.array([score.lag_weight for score in scores])
     weights = weights[np.isfinite(weights)]
     if len(weights):
