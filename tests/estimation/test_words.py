@@ -296,7 +296,7 @@ def test_an_inductance_is_listed_if_it_was_learnt(std, listed):
         fluxobs.demo_log(), "servo-400w", unknowns="drift,resistance", causal=True
     )
     learnt = replace(run.learnt, inductance_error=(0.05, 0.0), inductance_std=(std, std))
-    (text,) = _parameters(replace(run, learnt=learnt))
+    text, *_ = _parameters(replace(run, learnt=learnt))
     assert ("L_s 630 µH ± " in text) == listed
     assert ("600 µH given" in text) == listed
 
