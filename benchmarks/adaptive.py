@@ -152,7 +152,7 @@ def resistance() -> None:
                     record,
                     0.8,
                     unknowns=("drift", "resistance"),
-                    resistance_std=std,
+                    priors=Priors(resistance=std),
                 )
             )
 

@@ -739,11 +739,12 @@ static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real 
 }
 
 /* A position that has become certain is valid once the rotor has turned by half a turn: the length
- * of the position vector shows a wrong flux within that rotation. A position that jumps must be
- * confirmed again. */
+ * of the position vector shows a wrong flux within that rotation. A position that jumps, or whose
+ * std exceeds twice its limit, must be confirmed again. */
 static void confirm(const fo_adaptive *a, fo_adaptive_state *s, fo_estimate *q)
 {
-    const bool certain = q->valid && follows(&s->tracker, q->theta_e, q->theta_e_std);
+    const bool certain = q->theta_e_std < TWO * STD_LIMIT && q->valid_reason != FO_SEARCHING &&
+                         follows(&s->tracker, q->theta_e, q->theta_e_std);
     s->uncertain = certain ? 0U : s->uncertain + 1U;
     if (s->uncertain > UNCERTAIN_AFTER) {
         s->confirmed = ZERO;
