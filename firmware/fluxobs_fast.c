@@ -359,11 +359,10 @@ static bool receive(const fo_adaptive *a, fo_adaptive_state *s)
         const fo_answer *answer = &s->mail.data.answer;
         if (s->discard) {
             s->discard = false;
+        } else if (answer->wrong) {
+            wrong = true;
         } else if (answer->kind == FO_ANSWER_CORRECTION) {
-            wrong = answer->wrong;
-            if (!wrong) {
-                take_correction(a, s, answer);
-            }
+            take_correction(a, s, answer);
         } else {
             take_candidate(a, s, answer);
         }

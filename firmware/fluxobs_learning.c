@@ -736,12 +736,28 @@ static void learn_block(const fo_adaptive *a, fo_learner *s, const fo_mail *m, f
     update_reported_std(a, s, s->report_index);
     const fo_real gain = fo_sqrt(s->d[FO_N]) * a->plain.drift_prior_std; /* prior std over std */
     s->report.drift_std = gain > ONE ? ONE / gain : ONE;
-    fo_real sum = s->noise_level + s->report.innovation_power + s->report.variance_across;
-    for (int i = 0; i < (int)FO_NA; i++) {
-        sum += change[i];
-    }
-    answer->wrong = !(sum - sum == ZERO && point.length > ZERO);
+    answer->wrong = !(s->noise_level - s->noise_level == ZERO && point.length > ZERO);
     answer->kind = FO_ANSWER_CORRECTION;
+}
+
+/* Are all numbers of an answer finite? */
+static bool is_finite_answer(const fo_answer *c)
+{
+    const fo_learning_report *r = &c->report;
+    fo_real sum = c->length + c->variance + c->other_theta + c->other_weight + r->variance_across +
+                  r->growth + r->variance_by_L_q + r->armature_flux_q + r->loss_size +
+                  r->voltage_std + r->voltage_std_square + r->drift_std + r->innovation_power +
+                  r->rows;
+    for (int i = 0; i < FO_N; i++) {
+        sum += c->flux[i] + c->drift[i];
+    }
+    for (int i = 0; i < 3; i++) {
+        sum += r->reported_std[i] + c->means[i];
+    }
+    for (int j = 0; j < (int)FO_NP; j++) {
+        sum += c->change[j] + c->value[j];
+    }
+    return sum - sum == ZERO;
 }
 
 bool fo_adaptive_learn(const fo_adaptive *a, fo_adaptive_state *state)
@@ -759,6 +775,7 @@ bool fo_adaptive_learn(const fo_adaptive *a, fo_adaptive_state *state)
         }
         answer.report = s->report;
         (void)memcpy(answer.means, s->means, sizeof answer.means);
+        answer.wrong = answer.wrong || !is_finite_answer(&answer);
         m->data.answer = answer;
         FO_RELEASE(m->owner, FO_MAIL_ANSWERED);
     }
