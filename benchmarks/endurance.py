@@ -17,6 +17,7 @@ from common import degrees_error, heading
 
 from fluxobs import AdaptiveObserver, LeastSquaresObserver
 from fluxobs.machines import example
+from fluxobs.observers import Priors
 from fluxobs.simulation.closed_form.signals import vectors
 
 RATE, BATCH = 20_000, 1_200_000  # a batch is a minute
@@ -68,7 +69,7 @@ def main() -> None:
     parser.add_argument("--samples", type=float, default=1e8)
     minutes = int(np.ceil(parser.parse_args().samples / BATCH))
     heading(f"{minutes * BATCH / 1e6:.0f} million samples in float32, {minutes} minutes at 20 kHz")
-    priors = {"resistance_std": 0.01, "inverter_std": 0.02}
+    priors = Priors(resistance=0.01, inverter=0.02)
     observers = {
         "plain": LeastSquaresObserver.for_machine(
             MACHINE, sample_time=1 / RATE, precision="single"
@@ -78,7 +79,7 @@ def main() -> None:
             sample_time=1 / RATE,
             unknowns=("drift", "resistance", "inverter"),
             precision="single",
-            **priors,
+            priors=priors,
         ),
     }
     states = {name: observer.init() for name, observer in observers.items()}
