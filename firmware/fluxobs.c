@@ -289,7 +289,7 @@ static inline fo_real zero_if_finite(fo_real x) { return x - x; }
 bool fo_damaged(const fo_observer *o, const fo_state *s)
 {
     bool damaged = is_never_reset(s);
-    if (s->round_index == 1U) {
+    if (!damaged) {
         const fo_tracker *t = &s->tracker;
         fo_real sum = zero_if_finite(s->power) + zero_if_finite(s->lag_one) +
                       zero_if_finite(s->rotation) + zero_if_finite(t->angle) +

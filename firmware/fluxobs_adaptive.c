@@ -149,11 +149,12 @@ void fo_adaptive_learnt(const fo_adaptive *a, const fo_adaptive_state *s, fo_lea
     fo_real value[FO_NP], now[FO_PRIOR_MEANS];
     fo_learning_values(a, r, value);
     fo_learning_prior_means(a, now); /* they differ from the learner's just after a retuning */
-    l->psi_f = (r->means[0] + value[FO_PSI]) * base;
+    fo_learning_shift_values(r->means, now, value);
+    l->psi_f = (a->psi + value[FO_PSI]) * base;
     l->psi_f_std = fo_learning_std(a, r, FO_PSI, 1) * base;
-    l->resistance_error = value[FO_RESISTANCE] + (r->means[1] - now[1]);
+    l->resistance_error = value[FO_RESISTANCE];
     l->resistance_std = fo_learning_std(a, r, FO_RESISTANCE, 1);
-    l->inverter_voltage = TWO * r->means[2] + value[FO_INVERTER] + value[FO_INVERTER + 1];
+    l->inverter_voltage = TWO * a->inverter_mean + value[FO_INVERTER] + value[FO_INVERTER + 1];
     l->inverter_std = fo_learning_std(a, r, FO_INVERTER, 2);
     for (int i = 0; i < FO_N; i++) {
         l->offset[i] = value[FO_OFFSET + i];

@@ -124,7 +124,7 @@ typedef struct {
     NUMBER(volt, "one volt over a sample")                                                       \
     ARRAY(over_current, 2, "1 / currents at which the parts of the inverter's loss saturate "    \
                            "[1/A]")                                                              \
-    NUMBER(over_rated, "1 / current at which the rest of the loss is zero again [1/A]")          \
+    NUMBER(over_rated, "1 / rated current [1/A]")          \
     NUMBER(lag_std, "std of the lag [s]")                                                        \
     NUMBER(delay_std, "std of the delay of the currents [s]")                                    \
     NUMBER(current_gain_std, "std of unequal gains of the current sensors")                      \
@@ -145,7 +145,8 @@ typedef struct {
  * that a slower task may call, updates the information factor by a block, and fits the candidates
  * at the start. They exchange one mail, which belongs to one of them at a time. */
 
-/* Since the learner's reference: the end of the last block that it received. */
+/* Sums of a block. It begins where the learner's last block ended; that instant is the reference of
+ * the learner's corrections. */
 typedef struct {
     uint32_t samples;
     fo_real time;                         /* [memories]                                        */

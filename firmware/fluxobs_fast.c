@@ -40,10 +40,9 @@ static const fo_real PARAMETER_STDS_MAX = (fo_real)4;
 static const fo_real DISAGREEMENT = PI / (fo_real)9;
 static const fo_real DISAGREEMENT_TURN = TWO * PI;
 
-
 /* ---- the inverter --------------------------------------------------------------------- */
 
-/* tanh(x) to within 0.0014 by its Pade approximant, clipped where the approximant reaches 1. */
+/* Pade approximant of tanh(x), with an error below 0.0014; 1 where it would exceed 1. */
 static fo_real soft_sign(fo_real x)
 {
     const fo_real square = x * x;
@@ -137,7 +136,6 @@ static void correct_asymmetry(const fo_adaptive_state *s, const fo_real u[FO_N],
     (void)s;
 #endif
 }
-
 
 /* ---- integration ---------------------------------------------------------------------- */
 
@@ -278,10 +276,8 @@ static void correct_residuals(const fo_adaptive *a, fo_sums *sums, const fo_answ
 {
     const fo_real psi = a->std[FO_PSI] * c->change[FO_PSI];
     for (int w = 0; w < (int)FO_NW; w++) {
-        const fo_real *h = w == 0 ? sums->h : &sums->hh[w - 1];
-        const fo_real *th = w == 0 ? sums->th : &sums->thh[w - 1];
-        const fo_real weight = w == 0 ? (fo_real)sums->samples : sums->h[w - 1];
-        fo_real sum = dot(h, c->flux) + dot(th, c->drift) - psi * weight;
+        fo_real sum = dot(sums_of_h(sums, w), c->flux) + dot(sums_of_th(sums, w), c->drift) -
+                      psi * sum_of_weight(sums, w);
         for (int j = 1; j < (int)FO_NP; j++) {
             sum += sums->by_parameter[j - 1][w] * c->change[j];
         }
@@ -297,10 +293,7 @@ static void take_values(const fo_adaptive *a, fo_adaptive_state *s, const fo_ans
     for (int j = 0; j < (int)FO_NP; j++) {
         s->value[j] = c->value[j];
     }
-    s->value[FO_PSI] += c->means[0] - now[0];
-    s->value[FO_RESISTANCE] += c->means[1] - now[1];
-    s->value[FO_INVERTER] += c->means[2] - now[2];
-    s->value[FO_INVERTER + 1] += c->means[2] - now[2];
+    fo_learning_shift_values(c->means, now, s->value);
 }
 
 /* Corrects flux, drift and parameters since the end of the learner's block. */
@@ -429,23 +422,31 @@ static fo_reason judge_filter(const fo_adaptive_state *s, fo_real variance, fo_r
     return reason;
 }
 
-/* Writes the filter's estimate, with this length of the position vector. */
+/* Writes flux, drift and angle of the filter or of a candidate; `length` is that of the position
+ * vector. */
+static void write_position(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length,
+                           fo_real std, fo_reason reason, fo_estimate *q)
+{
+    for (int i = 0; i < FO_N; i++) {
+        q->flux[i] = s->flux[i] * a->plain.flux_base;
+        q->drift[i] = s->drift[i] * a->plain.drift_base;
+    }
+    q->psi_f = length * a->plain.flux_base;
+    q->theta_e = s->theta;
+    q->theta_e_tracked = s->tracker.angle;
+    q->speed_e = s->tracker.speed;
+    q->theta_e_std = std;
+    set_reason(q, reason);
+}
+
+/* Writes the filter's estimate. */
 static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state *s, fo_real length,
                                   fo_adaptive_estimate *e)
 {
     const fo_observer *o = &a->plain;
     fo_estimate *q = &e->position;
-    for (int i = 0; i < FO_N; i++) {
-        q->flux[i] = s->flux[i] * o->flux_base;
-        q->drift[i] = s->drift[i] * o->drift_base;
-    }
-    q->psi_f = length * o->flux_base;
-    q->theta_e = s->theta;
-    q->theta_e_tracked = s->tracker.angle;
-    q->speed_e = s->tracker.speed;
-    q->theta_e_std = s->std;
+    write_position(a, s, length, s->std, s->reason, q);
     q->noise_share = ZERO;
-    set_reason(q, s->reason);
     e->psi_f = (a->psi + s->value[FO_PSI]) * o->flux_base;
 #if FO_MAPPED
     if (has_cage_map(o)) {
@@ -468,9 +469,9 @@ static void use_plain_estimate(const fo_adaptive_state *s, fo_adaptive_estimate 
     }
 }
 
-/* Variance of the angle due to considered parameters that leave no residual at constant speed and
- * load: lags of voltages and currents, unequal gains of the current sensors, iron loss, harmonics
- * of the magnet flux. `square` is that of the position vector. */
+/* Variance of the angle due to the considered parameters: lags of voltages and currents, unequal
+ * gains of the current sensors, iron loss, harmonics of the magnet flux. At constant speed and load
+ * they leave no residual. `square` is the squared length of the position vector. */
 static fo_real considered_variance(const fo_adaptive *a, const fo_adaptive_state *s, fo_real square)
 {
     const fo_observer *o = &a->plain;
@@ -671,16 +672,8 @@ static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real
 static void write_candidate(const fo_adaptive *a, const fo_adaptive_state *s, fo_estimate *q)
 {
     const fo_real apart = wrap(s->other_theta - s->theta);
-    q->theta_e = s->theta;
-    q->theta_e_tracked = s->tracker.angle;
-    q->speed_e = s->tracker.speed;
-    q->theta_e_std = capped_std(s->variance + s->other_weight * apart * apart);
-    for (int i = 0; i < FO_N; i++) {
-        q->flux[i] = s->flux[i] * a->plain.flux_base;
-        q->drift[i] = s->drift[i] * a->plain.drift_base;
-    }
-    q->psi_f = s->length * a->plain.flux_base;
-    set_reason(q, FO_SEARCHING);
+    const fo_real std = capped_std(s->variance + s->other_weight * apart * apart);
+    write_position(a, s, s->length, std, FO_SEARCHING, q);
 }
 
 /* Integrates the best candidate. */
@@ -737,9 +730,9 @@ static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real 
     }
 }
 
-/* A position that has become certain is valid once the rotor has turned by half a turn: the length
- * of the position vector shows a wrong flux within that rotation. A position that jumps, or whose
- * std exceeds twice its limit, must be confirmed again. */
+/* A certain position becomes valid after half a turn, because a wrong flux changes the length of the
+ * position vector within that rotation. After a jump, or a std above twice its limit, the position
+ * must be confirmed again. */
 static void confirm(const fo_adaptive *a, fo_adaptive_state *s, fo_estimate *q)
 {
     const bool certain = q->theta_e_std < TWO * STD_LIMIT && q->valid_reason != FO_SEARCHING &&
@@ -833,42 +826,47 @@ static void prepare_sample(const fo_adaptive *a, fo_adaptive_state *s)
     }
 }
 
+/* Subtracts the asymmetry and the predicted loss from voltages, or from volt-seconds of an interval
+ * of this duration. `mean` is the mean current of the interval. */
+static void correct_source(const fo_adaptive *a, fo_adaptive_state *s, const fo_real source[FO_N],
+                           fo_real duration, const fo_real current[FO_N], fo_real mean[FO_N],
+                           fo_real corrected[FO_N])
+{
+    fo_real loss[FO_N];
+    predicted_loss(a, s, current, mean, loss);
+    correct_asymmetry(s, source, corrected);
+    for (int i = 0; i < FO_N; i++) {
+        corrected[i] -= duration * loss[i];
+    }
+    set_map_angle(a, s);
+}
+
 void fo_adaptive_fast_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real voltage[FO_N],
-                      const fo_real current[FO_N], fo_adaptive_estimate *e)
+                           const fo_real current[FO_N], fo_adaptive_estimate *e)
 {
     prepare_sample(a, s);
     const bad_samples before = count_bad_samples(&s->plain);
-    fo_real mean[FO_N], loss[FO_N], corrected[FO_N];
-    predicted_loss(a, s, current, mean, loss);
-    correct_asymmetry(s, voltage, corrected);
-    for (int i = 0; i < FO_N; i++) {
-        corrected[i] -= loss[i];
-    }
-    set_map_angle(a, s);
+    fo_real mean[FO_N], corrected[FO_N];
+    correct_source(a, s, voltage, ONE, current, mean, corrected);
     fo_step(&a->plain, &s->plain, corrected, current, &e->position);
     finish_sample(a, s, false, mean, before, e);
 }
 
 void fo_adaptive_fast_step_volt_seconds(const fo_adaptive *a, fo_adaptive_state *s,
-                                   const fo_real volt_seconds[FO_N], const fo_real current[FO_N],
-                                   fo_adaptive_estimate *e)
+                                        const fo_real volt_seconds[FO_N],
+                                        const fo_real current[FO_N], fo_adaptive_estimate *e)
 {
     prepare_sample(a, s);
     const bad_samples before = count_bad_samples(&s->plain);
-    fo_real mean[FO_N], loss[FO_N], corrected[FO_N];
-    predicted_loss(a, s, current, mean, loss);
-    correct_asymmetry(s, volt_seconds, corrected);
-    for (int i = 0; i < FO_N; i++) {
-        corrected[i] -= a->plain.sample_time * loss[i];
-    }
-    set_map_angle(a, s);
+    fo_real mean[FO_N], corrected[FO_N];
+    correct_source(a, s, volt_seconds, a->plain.sample_time, current, mean, corrected);
     fo_step_volt_seconds(&a->plain, &s->plain, corrected, current, &e->position);
     finish_sample(a, s, true, mean, before, e);
 }
 
 void fo_adaptive_fast_step_for(const fo_adaptive *a, fo_adaptive_state *s, fo_real duration,
-                          const fo_real voltage[FO_N], const fo_real current[FO_N],
-                          fo_adaptive_estimate *e)
+                               const fo_real voltage[FO_N], const fo_real current[FO_N],
+                               fo_adaptive_estimate *e)
 {
     fo_adaptive now;
     fo_gathered g;

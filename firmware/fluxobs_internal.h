@@ -13,8 +13,8 @@
 #error "do not use -ffast-math: values that are not finite have to be detected"
 #endif
 
-/* Accesses of a flag between two tasks: what was written before a release is visible after an
- * acquire that sees the flag. */
+/* Accesses to a flag that two tasks share. A task that reads the flag by FO_ACQUIRE sees everything
+ * that the other task wrote before its FO_RELEASE. */
 #ifndef FO_RELEASE
 #if defined(__GNUC__)
 #define FO_RELEASE(flag, value) __atomic_store_n(&(flag), (value), __ATOMIC_RELEASE)
@@ -318,7 +318,8 @@ static inline bool may_be_damaged(const fo_state *s)
     return s->round_index == 1U || is_never_reset(s);
 }
 
-/* Is this an invalid state of the observer, that is, zeros or overwritten memory? */
+/* Is this an invalid state of the observer, that is, zeros or overwritten memory? Call it where
+ * may_be_damaged. */
 #define fo_damaged FO_NAME(fo_damaged)
 bool fo_damaged(const fo_observer *o, const fo_state *s);
 

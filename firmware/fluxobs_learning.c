@@ -265,17 +265,6 @@ typedef struct {
     fo_real row[FO_NW][FO_NA], innovation[FO_NW], share[FO_NW];
 } block_rows;
 
-/* Sum of the weight w over the samples, and of w h_i, w t h_i. */
-static fo_real sum_of_weight(const fo_sums *sums, int w)
-{
-    return w == 0 ? (fo_real)sums->samples : sums->h[w - 1];
-}
-
-static fo_real sum_of_products(const fo_real by_one[FO_N], const fo_real by_h[3], int w, int i)
-{
-    return w == 0 ? by_one[i] : by_h[w - 1 + i];
-}
-
 /* Weighted sums over the block. */
 static void sum_rows(const fo_adaptive *a, const fo_block *b, const fo_sums *sums, block_rows *r)
 {
@@ -283,8 +272,8 @@ static void sum_rows(const fo_adaptive *a, const fo_block *b, const fo_sums *sum
     for (int w = 0; w < (int)FO_NW; w++) {
         fo_real *row = r->row[w];
         for (int i = 0; i < FO_N; i++) {
-            row[i] = sum_of_products(sums->h, sums->hh, w, i);
-            row[FO_N + i] = sum_of_products(sums->th, sums->thh, w, i) - b->time * row[i];
+            row[i] = sums_of_h(sums, w)[i];
+            row[FO_N + i] = sums_of_th(sums, w)[i] - b->time * row[i];
         }
         row[FO_NF + FO_PSI] = -a->std[FO_PSI] * sum_of_weight(sums, w);
         for (int j = 1; j < (int)FO_NP; j++) {
@@ -449,6 +438,15 @@ void fo_learning_prior_means(const fo_adaptive *a, fo_real means[FO_PRIOR_MEANS]
     means[2] = a->inverter_mean;
 }
 
+void fo_learning_shift_values(const fo_real before[FO_PRIOR_MEANS],
+                              const fo_real now[FO_PRIOR_MEANS], fo_real value[FO_NP])
+{
+    value[FO_PSI] += before[0] - now[0];
+    value[FO_RESISTANCE] += before[1] - now[1];
+    value[FO_INVERTER] += before[2] - now[2];
+    value[FO_INVERTER + 1] += before[2] - now[2];
+}
+
 void fo_learning_move_prior_means(const fo_adaptive *a, fo_learner *s, fo_real flux[FO_N],
                                   fo_real drift[FO_N])
 {
@@ -562,7 +560,6 @@ static fo_real oscillating_variance(const fo_adaptive *a, const fo_linearisation
 typedef struct {
     fo_linearisation point;
     fo_real speed;       /* [rad per memory]                                         */
-    fo_real blocks;      /* length of the block in blocks of an eighth of a turn     */
     fo_real variance;    /* of a row of a whole block                                */
     fo_real curvature;   /* squared error across the position vector / its length    */
     fo_real rows;        /* rows at this operating point                             */
@@ -617,7 +614,7 @@ static void update_by_row(const fo_adaptive *a, fo_learner *s, const block_conte
     }
 }
 
-/* Measurement update by the rows of a block. */
+/* Measurement update by the rows of a block in which the rotor has turned. */
 static void update_by_block(const fo_adaptive *a, fo_learner *s, const fo_block *b,
                             const fo_sums *sums, const fo_block_end *end, fo_real change[FO_NA])
 {
@@ -627,15 +624,15 @@ static void update_by_block(const fo_adaptive *a, fo_learner *s, const fo_block 
     const fo_real turned = fo_abs(b->turned), blocks = turned / BLOCK;
     fo_learning_values(a, s, value);
     fo_linearise(a, value, end->flux, end->current, map_of(end), &c.point);
-    c.blocks = blocks > ONE ? blocks : ONE;
     c.speed = turned / b->time;
     c.curvature = (s->report.variance_across + s->report.growth * b->time * b->time) /
                   c.point.length;
     c.variance = MODEL * MODEL + c.curvature * c.curvature / TWO +
-                 a->through_L * end->noise_inflation * c.blocks / (fo_real)sums->samples;
-    c.shape = turned > ZERO ? b->unmodelled / turned : ZERO;
+                 a->through_L * end->noise_inflation * (blocks > ONE ? blocks : ONE) /
+                     (fo_real)sums->samples;
+    c.shape = b->unmodelled / turned;
     c.rows = count_rows_at_point(a, s, &c.point, c.speed, blocks);
-    c.learn = !s->frozen && end->emf_ratio < EMF_RATIO_LIMIT && turned > ZERO &&
+    c.learn = !s->frozen && end->emf_ratio < EMF_RATIO_LIMIT &&
               c.curvature < LEARN_STD * LEARN_STD * c.point.length;
     sum_rows(a, b, sums, &r);
     decorrelate(sums, &r);
@@ -686,11 +683,11 @@ static marginal_pair marginal_variance(const fo_adaptive *a, const fo_learner *s
     return v;
 }
 
-/* Variances at the block's end, and at the end of a next block with the same voltages relative to
- * the rotor. At steady load the rows have correlated the errors of the parameters with the flux,
+/* Computes two variances: at the end of this block, and one block later if the voltages stay the
+ * same relative to the rotor. At steady load the rows have correlated the errors of the parameters with the flux,
  * and these errors add almost nothing. */
 static void update_report_variances(const fo_adaptive *a, fo_learner *s, const fo_block *b,
-                             const fo_linearisation *point)
+                                    const fo_linearisation *point)
 {
     fo_learning_report *r = &s->report;
     const fo_real across[FO_N] = {-point->direction[1], point->direction[0]};

@@ -15,6 +15,7 @@
 #define fo_learning_update_voltage_std FO_NAME(fo_learning_update_voltage_std)
 #define fo_learning_widen_resistance FO_NAME(fo_learning_widen_resistance)
 #define fo_learning_prior_means FO_NAME(fo_learning_prior_means)
+#define fo_learning_shift_values FO_NAME(fo_learning_shift_values)
 #define fo_learning_move_prior_means FO_NAME(fo_learning_move_prior_means)
 
 /* Rotation over which residuals are averaged to one measurement row [rad]: an eighth of a turn.
@@ -51,6 +52,22 @@ static inline const fo_map_point *map_of(const fo_block_end *end)
 #endif
 }
 
+/* Sums over a block of w, of w h and of w t h, for the weights w = 1, h_0, h_1. */
+static inline fo_real sum_of_weight(const fo_sums *sums, int w)
+{
+    return w == 0 ? (fo_real)sums->samples : sums->h[w - 1];
+}
+
+static inline const fo_real *sums_of_h(const fo_sums *sums, int w)
+{
+    return w == 0 ? sums->h : &sums->hh[w - 1];
+}
+
+static inline const fo_real *sums_of_th(const fo_sums *sums, int w)
+{
+    return w == 0 ? sums->th : &sums->thh[w - 1];
+}
+
 /* Resets the parameters to their prior. */
 void fo_learning_reset(const fo_adaptive *observer, fo_learner *learner);
 
@@ -79,6 +96,10 @@ void fo_learning_widen_resistance(const fo_adaptive *observer, fo_learner *learn
  * inverter's loss [V]. */
 enum { FO_PRIOR_MEANS = 3 };
 void fo_learning_prior_means(const fo_adaptive *observer, fo_real means[FO_PRIOR_MEANS]);
+
+/* Makes errors of parameters that are relative to the prior means `before` relative to `now`. */
+void fo_learning_shift_values(const fo_real before[FO_PRIOR_MEANS],
+                              const fo_real now[FO_PRIOR_MEANS], fo_real value[FO_NP]);
 
 /* Keeps the estimates if the prior means have changed: the estimated errors change by the opposite
  * amount. Adds the changes of the filter's flux and drift. */

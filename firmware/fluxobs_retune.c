@@ -101,10 +101,7 @@ const fo_adaptive *fo_adaptive_take(fo_adaptive_retunable *r, fo_adaptive_state 
         fo_real before[FO_PRIOR_MEANS], now[FO_PRIOR_MEANS];
         fo_learning_prior_means(&r->both[r->active], before);
         fo_learning_prior_means(&r->both[ready], now);
-        s->value[FO_PSI] += before[0] - now[0];
-        s->value[FO_RESISTANCE] += before[1] - now[1];
-        s->value[FO_INVERTER] += before[2] - now[2];
-        s->value[FO_INVERTER + 1] += before[2] - now[2];
+        fo_learning_shift_values(before, now, s->value);
     }
     r->active = ready;
     return &r->both[ready];
