@@ -798,8 +798,9 @@ static void finish_estimate(const fo_observer *o, fo_state *s, const fo_real v[F
 /* ---- samples -------------------------------------------------------------------------- */
 
 /* Integrates the last interval. Subtracts the resistive drop, unless the volt-seconds are
- * `complete`. */
-static void integrate_interval(const fo_observer *o, const fo_state *s, bool complete, interval *t)
+ * `complete`. Returns the interval since the last row, which may consist of two. */
+static void integrate_interval(const fo_observer *o, fo_state *s, bool complete,
+                               const fo_merged *merged, interval *t)
 {
     fo_real mean[FO_N] = {0};
     for (int i = 0; i < FO_N && !complete; i++) {
@@ -807,7 +808,13 @@ static void integrate_interval(const fo_observer *o, const fo_state *s, bool com
                                   s->current[3][i]);
     }
     for (int i = 0; i < FO_N; i++) {
-        t->v[i] = s->source[i] - row_of(o->hR, i, mean);
+        s->volt_seconds[i] = s->source[i] - row_of(o->hR, i, mean);
+        t->v[i] = s->volt_seconds[i];
+    }
+    if (merged != NULL && merged->pending) {
+        for (int i = 0; i < FO_N; i++) {
+            t->v[i] += merged->volt_seconds[i];
+        }
     }
     for (int i = 0; i < FO_N; i++) {
         t->q[i] = row_of(o->Q1x2, i, t->v);
@@ -816,8 +823,9 @@ static void integrate_interval(const fo_observer *o, const fo_state *s, bool com
 }
 
 /* Length of the position vector's step over the interval; the drift is negligible. */
-static fo_real position_step_length(const fo_observer *o, const fo_state *s, const fo_real v[FO_N])
+static fo_real position_step_length(const fo_observer *o, const fo_state *s)
 {
+    const fo_real *v = s->volt_seconds;
     fo_real step[FO_N];
     for (int i = 0; i < FO_N; i++) {
         step[i] = v[i] - o->L_position * (s->current[0][i] - s->current[1][i]);
@@ -881,9 +889,12 @@ static sample_quality classify(const fo_real x[FO_N], fo_real limit)
 }
 
 /* Processes one sample. `source` is in per-unit volt-seconds, either `complete` or still without
- * the resistive drop. */
-static void process_sample(const fo_observer *o, fo_state *s, const fo_real source[FO_N],
-                           bool complete, const fo_real current[FO_N], fo_estimate *e) {
+ * the resistive drop. `rows` is the observer with the time of a row: o, or that of two samples if
+ * an interval is pending. A sample that `begins` a merged interval has no row and no estimate. */
+static void process_sample(const fo_observer *o, const fo_observer *rows, fo_state *s,
+                           fo_merged *merged, bool begins, const fo_real source[FO_N],
+                           bool complete, const fo_real current[FO_N], fo_estimate *e)
+{
     interval t = {{ZERO, ZERO}, {ZERO, ZERO}, ZERO};
     if (may_be_damaged(s) && fo_damaged(o, s)) {
         const uint32_t restarts = s->restarts;
@@ -922,29 +933,29 @@ static void process_sample(const fo_observer *o, fo_state *s, const fo_real sour
             extrapolate(o, s, s->source, s->source);
         }
         s->have_current = true;
-        const fo_real rhs = row_of_newest_current(o, s, row);
+        const fo_real rhs = row_of_newest_current(rows, s, row);
         if (s->have_voltage) {
-            integrate_interval(o, s, complete, &t);
-            const fo_real step = position_step_length(o, s, t.v);
+            integrate_interval(o, s, complete, merged, &t);
+            const fo_real step = position_step_length(o, s);
             if (measured && s->trusted &&
-                (position_jumps(o, s, step) || is_outlier(o, s, &t, row, rhs))) {
+                (position_jumps(o, s, step) || is_outlier(rows, s, &t, row, rhs))) {
                 s->outliers++; /* treat this current as missing */
                 measured = false;
                 bad = true;
                 extrapolate(o, s, s->current[1], s->current[0]);
-                (void)row_of_newest_current(o, s, row);
-                integrate_interval(o, s, complete, &t);
+                (void)row_of_newest_current(rows, s, row);
+                integrate_interval(o, s, complete, merged, &t);
             } else {
                 s->step = step;
             }
-            s->volt_seconds[0] = t.v[0];
-            s->volt_seconds[1] = t.v[1];
-            predict(o, &s->info, &t);
+            if (!begins) {
+                predict(rows, &s->info, &t);
+            }
         } else {
             reset_information(s); /* no voltage connects the past to this sample */
         }
-        if (measured) {
-            update_measurement(o, s, row, rhs);
+        if (measured && !begins) {
+            update_measurement(rows, s, row, rhs);
         }
     }
     s->consecutive_bad = bad ? s->consecutive_bad + 1U : 0U;
@@ -952,9 +963,20 @@ static void process_sample(const fo_observer *o, fo_state *s, const fo_real sour
         s->restarts++;
         restart(s);
     }
-    finish_estimate(o, s, t.v, e);
-    if (e->valid && bad) {
-        set_reason(e, FO_BAD_SAMPLE);
+    if (merged != NULL) {
+        merged->pending = begins && s->have_voltage;
+        merged->volt_seconds[0] = t.v[0];
+        merged->volt_seconds[1] = t.v[1];
+    }
+    if (begins) {
+#if FO_MAPPED
+        s->previous_point = s->map_point;
+#endif
+    } else {
+        finish_estimate(rows, s, t.v, e);
+        if (e->valid && bad) {
+            set_reason(e, FO_BAD_SAMPLE);
+        }
     }
 }
 
@@ -974,29 +996,32 @@ static void subtract_kinks(const fo_observer *o, fo_state *s, fo_real source[FO_
 }
 #endif
 
-void fo_step(const fo_observer *o, fo_state *s, const fo_real voltage[FO_N],
-             const fo_real current[FO_N], fo_estimate *e)
+void fo_step_merged(const fo_observer *o, const fo_observer *rows, fo_state *s, fo_merged *merged,
+                    bool begins, const fo_real input[FO_N], bool complete,
+                    const fo_real current[FO_N], fo_estimate *e)
 {
     fo_real source[FO_N];
     for (int i = 0; i < FO_N; i++) {
-        source[i] = row_of(o->hB, i, voltage);
+        source[i] = complete ? input[i] / o->flux_base : row_of(o->hB, i, input);
     }
 #if FO_HELD
-    if (o->kink_now != ZERO) {
+    if (!complete && o->kink_now != ZERO) {
         subtract_kinks(o, s, source);
     }
 #endif
-    process_sample(o, s, source, false, current, e);
+    process_sample(o, rows, s, merged, begins, source, complete, current, e);
+}
+
+void fo_step(const fo_observer *o, fo_state *s, const fo_real voltage[FO_N],
+             const fo_real current[FO_N], fo_estimate *e)
+{
+    fo_step_merged(o, o, s, NULL, false, voltage, false, current, e);
 }
 
 void fo_step_volt_seconds(const fo_observer *o, fo_state *s, const fo_real volt_seconds[FO_N],
                           const fo_real current[FO_N], fo_estimate *e)
 {
-    fo_real source[FO_N];
-    for (int i = 0; i < FO_N; i++) {
-        source[i] = volt_seconds[i] / o->flux_base;
-    }
-    process_sample(o, s, source, true, current, e);
+    fo_step_merged(o, o, s, NULL, false, volt_seconds, true, current, e);
 }
 
 void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_real voltage[FO_N],
@@ -1015,7 +1040,7 @@ void fo_gather(const fo_observer *o, fo_gathered *g, fo_real share, const fo_rea
 }
 
 /* Returns the observer for this sample time [s], which must be plausible. */
-static void scale_to_duration(const fo_observer *o, fo_real duration, fo_observer *scaled)
+void fo_scale_to_duration(const fo_observer *o, fo_real duration, fo_observer *scaled)
 {
     const fo_real ratio = duration / o->sample_time;
     /* The tracker's pole p follows from its gains: 1.5 h track[2] / track[1] = (1 - p) / (1 + p).
@@ -1042,7 +1067,7 @@ void fo_uneven(const fo_observer *o, const fo_state *s, fo_real duration,
 {
     const bool plausible =
         within(duration, o->sample_time / (fo_real)10, o->sample_time * (fo_real)10);
-    scale_to_duration(o, plausible ? duration : o->sample_time, now);
+    fo_scale_to_duration(o, plausible ? duration : o->sample_time, now);
     for (int i = 0; i < FO_N; i++) {
         g->volt_seconds[i] = ZERO;
         g->current[i] = s->current[0][i];

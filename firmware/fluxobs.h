@@ -105,6 +105,13 @@ typedef struct {
 #endif
 } fo_observer;
 
+/* An interval without a row: its volt-seconds [flux bases] are added to those of the next
+ * interval. */
+typedef struct {
+    fo_real volt_seconds[FO_N];
+    bool pending;
+} fo_merged;
+
 /* Square-root-free information factor: U x = z with weights d. U is unit upper triangular; x = (s,
  * flux, kappa, drift, c) is per-unit. The information matrix is U' diag(d) U. */
 typedef struct {

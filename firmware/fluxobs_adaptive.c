@@ -50,6 +50,12 @@ static void prepare_adaptive(fo_adaptive *a, const fo_config *config, const fo_a
     a->through_L = through_L * through_L;
     a->unmodelled = UNMODELLED * a->plain.drift_prior_std;
     a->slow = config->memory / c->slow_memory;
+    fo_observer two;
+    fo_scale_to_duration(&a->plain, TWO * config->sample_time, &two);
+    a->guard_reinject = two.reinject;
+    for (int i = 0; i < 3; i++) {
+        a->guard_track[i] = two.track[i];
+    }
     a->projection = c->projection;
 }
 

@@ -61,8 +61,8 @@ extern "C" {
 #define fo_adaptive_restart FO_NAME(fo_adaptive_restart)
 
 /* Order of the parameters. The inverter's loss is the sum of two parameters: one grows within small
- * currents, the other within larger currents. The parameters from the resistance to the asymmetry
- * change the volt-seconds. */
+ * currents, the other within larger currents. The resistance, the inverter's loss and the
+ * asymmetry change the volt-seconds. */
 enum {
     FO_PSI,
     FO_RESISTANCE,
@@ -75,7 +75,7 @@ enum {
     FO_INDUCTANCE = FO_ASYMMETRY,
 #endif
     FO_NP = FO_INDUCTANCE + 2,            /* number of parameters                              */
-    FO_NS = FO_INDUCTANCE - FO_RESISTANCE, /* number of parameters that change the volt-seconds */
+    FO_NS = 3 + FO_INDUCTANCE - FO_ASYMMETRY, /* parameters that change the volt-seconds        */
     FO_NF = 2 * FO_N,      /* order of the fast filter: flux, drift                */
     FO_NA = FO_NF + FO_NP, /* order of the factor: fast filter, then parameters    */
     FO_NM = 2 * FO_N + 1,  /* manifold: flux, drift, square of the magnet flux     */
@@ -124,7 +124,7 @@ typedef struct {
     NUMBER(volt, "one volt over a sample")                                                       \
     ARRAY(over_current, 2, "1 / currents at which the parts of the inverter's loss saturate "    \
                            "[1/A]")                                                              \
-    NUMBER(over_rated, "1 / rated current [1/A]")          \
+    NUMBER(over_rated, "1 / rated current [1/A]")                                                \
     NUMBER(lag_std, "std of the lag [s]")                                                        \
     NUMBER(delay_std, "std of the delay of the currents [s]")                                    \
     NUMBER(current_gain_std, "std of unequal gains of the current sensors")                      \
@@ -132,7 +132,9 @@ typedef struct {
     NUMBER(magnet_error, "harmonics of the magnet flux")                                         \
     NUMBER(through_L, "variance of a residual from current noise")                               \
     NUMBER(unmodelled, "voltage error that is in no model")                                      \
-    NUMBER(slow, "memory / slow memory")
+    NUMBER(slow, "memory / slow memory")                                                         \
+    NUMBER(guard_reinject, "share of the prior re-injected per turn, with a row in two samples") \
+    ARRAY(guard_track, 3, "gains of the tracker for two samples")
 
 typedef struct {
     fo_observer plain;
@@ -151,7 +153,7 @@ typedef struct {
     uint32_t samples;
     fo_real time;                         /* [memories]                                        */
     fo_real turned;                       /* rotation [rad]                                    */
-    fo_real sensitivity[FO_NS][FO_N];     /* sensitivity of the flux to each parameter         */
+    fo_real sensitivity[FO_NS][FO_N];     /* of the flux to parameters [1 / their units]       */
     fo_real unmodelled;                   /* integral of the voltage error outside the model   */
     fo_real volt_seconds[FO_N];           /* before the filter runs                            */
 } fo_block;
@@ -164,7 +166,7 @@ typedef struct {
     fo_real h[FO_N], hh[3];               /* h; h_0 h_0, h_0 h_1, h_1 h_1                      */
     fo_real th[FO_N], thh[3];
     fo_real residual[FO_NW];              /* w residual                                        */
-    fo_real by_parameter[FO_NP - 1][FO_NW]; /* w times the derivatives by parameters after psi */
+    fo_real by_parameter[FO_NP - 1][FO_NW]; /* w times derivatives by all but psi_f [1 / units] */
 } fo_sums;
 
 /* A candidate: one hypothesis of flux and drift at the start. */
@@ -234,7 +236,7 @@ typedef enum {
 typedef struct {
     fo_answer_kind kind;
     fo_real flux[FO_N], drift[FO_N];      /* at the learner's reference                        */
-    fo_real change[FO_NP];                /* change of the parameters in prior stds            */
+    fo_real change[FO_NP];                /* change of the parameters [their units]            */
     fo_real value[FO_NP];                 /* errors of the parameters [their units]            */
     fo_real length;                       /* of a candidate's position vector                  */
     fo_real variance;                     /* of a candidate's angle [rad^2]                    */
@@ -296,10 +298,10 @@ typedef struct {
     fo_real emf_ratio;                   /* integral of voltage_std / EMF [rad]             */
     fo_real voltage_turn;                /* turn of the flux by unmodelled voltages [rad]   */
     fo_real signs[2][FO_N];              /* soft signs of the phase currents, for the loss  */
-    fo_real sign_gradient[3];            /* derivative of the signs by the current          */
     fo_real std;                         /* std of the filter's angle [rad]                 */
     fo_reason reason;                    /* why the filter's position is not valid          */
     fo_real rotation;                    /* rotation since one candidate is likely [rad]    */
+    fo_merged merged;                    /* interval without a row of the guard             */
     fo_real disagreement;                /* turn during which filter and guard differ [rad] */
     fo_real confirmed;                   /* rotation since the position became certain [rad] */
     uint32_t uncertain;                  /* samples in a row without a certain position     */

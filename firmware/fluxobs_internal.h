@@ -391,6 +391,18 @@ static inline void settle_tracker(const fo_observer *o, fo_tracker *t, fo_real t
     }
 }
 
+/* Returns the observer for another sample time [s], which must be plausible. */
+#define fo_scale_to_duration FO_NAME(fo_scale_to_duration)
+void fo_scale_to_duration(const fo_observer *o, fo_real duration, fo_observer *scaled);
+
+/* A step that may merge two intervals: one that `begins` a merged interval has no row and writes no
+ * estimate. `rows` is the observer with the time of a row: o, or that of two samples if an interval
+ * is pending. `input` is a voltage or, if `complete`, volt-seconds. */
+#define fo_step_merged FO_NAME(fo_step_merged)
+void fo_step_merged(const fo_observer *o, const fo_observer *rows, fo_state *s, fo_merged *merged,
+                    bool begins, const fo_real input[FO_N], bool complete,
+                    const fo_real current[FO_N], fo_estimate *e);
+
 /* Returns, for an interval of this duration [s]: the observer, the interval's volt-seconds, and the
  * current at its end. An implausible duration gives an absurd current. */
 void fo_uneven(const fo_observer *o, const fo_state *s, fo_real duration,

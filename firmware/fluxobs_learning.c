@@ -144,7 +144,7 @@ static void add_flux_process_noise(fo_learner *s, fo_real variance)
 
 /* Propagates the factor to the end of the block, where the flux is flux + time drift + sensitivity
  * p. */
-static void propagate(fo_learner *s, const fo_block *b)
+static void propagate(const fo_adaptive *a, fo_learner *s, const fo_block *b)
 {
     for (int i = 0; i < FO_N; i++) {
         const fo_real by_flux[FO_N] = {i == 0 ? ONE : ZERO, i == 0 ? s->U[0] : ONE};
@@ -153,7 +153,8 @@ static void propagate(fo_learner *s, const fo_block *b)
             row[j] -= b->time * by_flux[j];
         }
         for (int j = 0; j < (int)FO_NS; j++) {
-            row[(int)FO_N + (int)FO_RESISTANCE + j] -= dot(by_flux, b->sensitivity[j]);
+            const int n = parameter_of(j);
+            row[(int)FO_N + n] -= a->std[n] * dot(by_flux, b->sensitivity[j]);
         }
     }
 }
@@ -172,7 +173,7 @@ static void forget_drift(const fo_adaptive *a, fo_learner *s, fo_real time)
 static void predict_block(const fo_adaptive *a, fo_learner *s, const fo_block *b)
 {
     const fo_real step = a->unmodelled * b->time;
-    propagate(s, b);
+    propagate(a, s, b);
     add_flux_process_noise(s, step * step + b->unmodelled * b->unmodelled);
     if (has_cage_map(&a->plain)) {
         const fo_real q = CAGE_WALK * CAGE_WALK * b->time / (a->std[FO_PSI] * a->std[FO_PSI]);
@@ -277,10 +278,11 @@ static void sum_rows(const fo_adaptive *a, const fo_block *b, const fo_sums *sum
         }
         row[FO_NF + FO_PSI] = -a->std[FO_PSI] * sum_of_weight(sums, w);
         for (int j = 1; j < (int)FO_NP; j++) {
-            row[FO_NF + j] = sums->by_parameter[j - 1][w];
+            row[FO_NF + j] = a->std[j] * sums->by_parameter[j - 1][w];
         }
         for (int j = 0; j < (int)FO_NS; j++) {
-            row[FO_NF + FO_RESISTANCE + j] -= dot(row, b->sensitivity[j]);
+            const int n = parameter_of(j);
+            row[FO_NF + n] -= a->std[n] * dot(row, b->sensitivity[j]);
         }
         r->innovation[w] = -sums->residual[w];
     }
@@ -667,10 +669,10 @@ static marginal_pair marginal_variance(const fo_adaptive *a, const fo_learner *s
         direction[FO_N + i] = time * across[i];
     }
     for (int j = 0; j < (int)FO_NS; j++) {
-        direction[FO_NF + FO_RESISTANCE + j] = moved[j];
+        direction[FO_NF + parameter_of(j)] = moved[j];
     }
     for (int i = 0; i < FO_N; i++) {
-        direction[FO_NF + FO_OFFSET + i] +=
+        direction[FO_NF + FO_OFFSET + i] =
             a->plain.L_position * a->std[FO_OFFSET + i] * across[i];
     }
     const fo_real level = s->noise_level > NOISE_LEVEL_MIN ? s->noise_level : NOISE_LEVEL_MIN;
@@ -695,7 +697,7 @@ static void update_report_variances(const fo_adaptive *a, fo_learner *s, const f
     const fo_real q = point->armature_flux[1];
     const marginal_pair now = marginal_variance(a, s, across, ZERO, moved, q);
     for (int j = 0; j < (int)FO_NS; j++) { /* relative to the rotor, as in this block */
-        moved[j] = dot(across, b->sensitivity[j]);
+        moved[j] = a->std[parameter_of(j)] * dot(across, b->sensitivity[j]);
     }
     turn(across, fo_abs(b->turned) < ONE ? b->turned : ZERO, next);
     const marginal_pair then = marginal_variance(a, s, next, b->time, moved, q);
@@ -721,7 +723,7 @@ static void learn_block(const fo_adaptive *a, fo_learner *s, const fo_mail *m, f
         answer->drift[i] = change[FO_N + i];
     }
     for (int j = 0; j < (int)FO_NP; j++) {
-        answer->change[j] = change[FO_NF + j];
+        answer->change[j] = a->std[j] * change[FO_NF + j];
     }
     fo_learning_move_prior_means(a, s, answer->flux, answer->drift);
     const fo_real flux[FO_N] = {end->flux[0] + answer->flux[0], end->flux[1] + answer->flux[1]};
