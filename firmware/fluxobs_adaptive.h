@@ -61,8 +61,8 @@ extern "C" {
 #define fo_adaptive_restart FO_NAME(fo_adaptive_restart)
 
 /* Order of the parameters. The inverter's loss is the sum of two parameters: one grows within small
- * currents, the other within larger currents. The resistance, the inverter's loss and the
- * asymmetry change the volt-seconds. */
+ * currents, the other within larger currents. The parameters from the resistance to the asymmetry
+ * change the volt-seconds. */
 enum {
     FO_PSI,
     FO_RESISTANCE,
@@ -75,7 +75,7 @@ enum {
     FO_INDUCTANCE = FO_ASYMMETRY,
 #endif
     FO_NP = FO_INDUCTANCE + 2,            /* number of parameters                              */
-    FO_NS = 3 + FO_INDUCTANCE - FO_ASYMMETRY, /* parameters that change the volt-seconds        */
+    FO_NS = FO_INDUCTANCE - FO_RESISTANCE, /* number of parameters that change the volt-seconds */
     FO_NF = 2 * FO_N,      /* order of the fast filter: flux, drift                */
     FO_NA = FO_NF + FO_NP, /* order of the factor: fast filter, then parameters    */
     FO_NM = 2 * FO_N + 1,  /* manifold: flux, drift, square of the magnet flux     */
@@ -298,6 +298,7 @@ typedef struct {
     fo_real emf_ratio;                   /* integral of voltage_std / EMF [rad]             */
     fo_real voltage_turn;                /* turn of the flux by unmodelled voltages [rad]   */
     fo_real signs[2][FO_N];              /* soft signs of the phase currents, for the loss  */
+    fo_real loss_gradient[3];            /* of the loss over a sample by the current [1/A]  */
     fo_real std;                         /* std of the filter's angle [rad]                 */
     fo_reason reason;                    /* why the filter's position is not valid          */
     fo_real rotation;                    /* rotation since one candidate is likely [rad]    */

@@ -55,14 +55,26 @@ static fo_real soft_sign(fo_real x)
 }
 
 /* Amplitude-invariant vector of the soft signs of the phase currents. */
-static void soft_signs(const fo_real phase[3], fo_real over, fo_real vector[FO_N])
+static void soft_signs(const fo_real phase[3], fo_real over, fo_real sign[3], fo_real vector[FO_N])
 {
-    fo_real sign[3];
     for (int i = 0; i < 3; i++) {
         sign[i] = soft_sign(phase[i] * over);
     }
     vector[0] = (TWO * sign[0] - sign[1] - sign[2]) * (fo_real)(1.0 / 3.0);
     vector[1] = (sign[1] - sign[2]) * (fo_real)0.5773502691896258;
+}
+
+/* Adds the derivative of that vector by the current (alpha alpha, alpha beta, beta beta), times
+ * `scale`, to `gradient`. */
+static void add_sign_gradient(const fo_real sign[3], fo_real scale, fo_real gradient[3])
+{
+    fo_real slope[3];
+    for (int i = 0; i < 3; i++) {
+        slope[i] = scale * (ONE - sign[i] * sign[i]);
+    }
+    gradient[0] += ((fo_real)4 * slope[0] + slope[1] + slope[2]) * (fo_real)(1.0 / 6.0);
+    gradient[1] += (slope[2] - slope[1]) * (fo_real)0.2886751345948129;
+    gradient[2] += (slope[1] + slope[2]) / TWO;
 }
 
 /* Estimated voltage of one part of the inverter's loss [V]. */
@@ -95,8 +107,18 @@ static void update_signs(const fo_adaptive *a, fo_adaptive_state *s, const fo_re
                   beta = current[1] - s->value[FO_OFFSET + 1];
     const fo_real half = alpha / TWO, root = (fo_real)0.8660254037844386 * beta;
     const fo_real phase[3] = {alpha, root - half, -root - half};
-    soft_signs(phase, a->over_current[0], s->signs[0]);
-    soft_signs(phase, a->over_current[1], s->signs[1]);
+    fo_real sign[2][3];
+    soft_signs(phase, a->over_current[0], sign[0], s->signs[0]);
+    soft_signs(phase, a->over_current[1], sign[1], s->signs[1]);
+    if ((s->sample_index & 2U) != 0U) { /* only offsets need it, and they change slowly */
+        for (int i = 0; i < 3; i++) {
+            s->loss_gradient[i] = ZERO;
+        }
+        for (int n = 0; n < 2; n++) {
+            const fo_real scale = a->volt * inverter_loss_part(a, s, n) * a->over_current[n];
+            add_sign_gradient(sign[n], scale, s->loss_gradient);
+        }
+    }
 }
 
 /* Voltage lost in the interval that ends with this current, in addition to the assumed resistance's
@@ -154,6 +176,8 @@ static void add_sensitivities(const fo_adaptive *a, fo_adaptive_state *s, bool c
         b->sensitivity[0][i] -= volt * mean[i];
         b->sensitivity[1][i] -= volt * s->signs[0][i];
         b->sensitivity[2][i] -= volt * s->signs[1][i];
+        b->sensitivity[3][i] += s->loss_gradient[i];
+        b->sensitivity[4][i] += s->loss_gradient[1 + i];
     }
 #if FO_ASYMMETRIC
     fo_real u[FO_N];
@@ -161,10 +185,10 @@ static void add_sensitivities(const fo_adaptive *a, fo_adaptive_state *s, bool c
         const fo_real drop = complete ? (fo_real)24 * row_of(a->plain.hR, i, mean) : ZERO;
         u[i] = s->plain.source[i] + drop;
     }
-    b->sensitivity[3][0] += u[0];
-    b->sensitivity[3][1] -= u[1];
-    b->sensitivity[4][0] += u[1];
-    b->sensitivity[4][1] += u[0];
+    b->sensitivity[5][0] += u[0];
+    b->sensitivity[5][1] -= u[1];
+    b->sensitivity[6][0] += u[1];
+    b->sensitivity[6][1] += u[0];
 #else
     (void)complete;
 #endif
@@ -310,7 +334,7 @@ static void take_correction(const fo_adaptive *a, fo_adaptive_state *s, const fo
     for (int i = 0; i < FO_N; i++) {
         fo_real flux = s->flux[i] + c->flux[i] + b->time * c->drift[i];
         for (int j = 0; j < (int)FO_NS; j++) {
-            flux += b->sensitivity[j][i] * c->change[parameter_of(j)];
+            flux += b->sensitivity[j][i] * c->change[FO_RESISTANCE + j];
         }
         s->flux[i] = flux;
         s->drift[i] += c->drift[i];
@@ -560,10 +584,10 @@ static void add_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_map_
     fo_real h[FO_N], by_current[FO_N], by_parameter[FO_NP - 1];
     fo_residual_gradients(a, map, point, h, by_current);
     for (int j = 0; j < (int)FO_NS; j++) {
-        by_parameter[parameter_of(j) - 1] = dot(h, b->sensitivity[j]);
+        by_parameter[j] = dot(h, b->sensitivity[j]);
     }
     for (int i = 0; i < FO_N; i++) {
-        by_parameter[FO_OFFSET - 1 + i] = by_current[i];
+        by_parameter[FO_OFFSET - 1 + i] += by_current[i];
     }
     by_parameter[FO_INDUCTANCE - 1] = -point->armature_flux[0];
     by_parameter[FO_INDUCTANCE] =
@@ -661,15 +685,15 @@ static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real
                        bool measured, bool guarded, fo_adaptive_estimate *e)
 {
     fo_linearisation point;
-    const bool quick = is_quick(a, s), turn = quick || is_filter_turn(s);
+    const bool quick = is_quick(a, s), slower = quick || is_filter_turn(s);
     const fo_real samples = quick ? ONE : TWO;
-    if (step_filter(a, s, measured && turn, &point)) {
+    if (step_filter(a, s, measured && slower, &point)) {
         track(&a->plain, &s->tracker, s->theta);
         settle_tracker(&a->plain, &s->tracker, s->theta, s->std);
-        if (turn) {
+        if (slower) {
             update_status(a, s, &point, samples);
         }
-        if (guarded && (quick || !turn)) {
+        if (guarded && (quick || !slower)) {
             compare_with_guard(a, s, samples, &e->position);
         }
         if (s->running && is_mail_turn(a, s)) {
@@ -888,6 +912,12 @@ static bool step_guard(const fo_adaptive *a, fo_adaptive_state *s, const fo_real
     } else {
         fo_step_merged(&a->plain, &a->plain, &s->plain, &s->merged, begins, input, complete,
                        current, e);
+    }
+    if (begins) { /* the filter writes the rest */
+        e->innovation = s->plain.innovation;
+        e->theta_e = s->theta;
+        e->psi_f = s->length;
+        set_reason(e, FO_SEARCHING);
     }
     return !begins;
 }

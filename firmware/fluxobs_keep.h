@@ -29,7 +29,7 @@ extern "C" {
 
 /* Version of the blobs. The version changes when a field is added to an observer or to its
  * state. */
-#define FO_LAYOUT 2U
+#define FO_LAYOUT 3U
 
 /* Bytes of a blob with this many numbers: head, numbers, checksum. */
 #define FO_HEAD 12U

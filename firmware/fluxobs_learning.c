@@ -153,7 +153,7 @@ static void propagate(const fo_adaptive *a, fo_learner *s, const fo_block *b)
             row[j] -= b->time * by_flux[j];
         }
         for (int j = 0; j < (int)FO_NS; j++) {
-            const int n = parameter_of(j);
+            const int n = (int)FO_RESISTANCE + j;
             row[(int)FO_N + n] -= a->std[n] * dot(by_flux, b->sensitivity[j]);
         }
     }
@@ -281,7 +281,7 @@ static void sum_rows(const fo_adaptive *a, const fo_block *b, const fo_sums *sum
             row[FO_NF + j] = a->std[j] * sums->by_parameter[j - 1][w];
         }
         for (int j = 0; j < (int)FO_NS; j++) {
-            const int n = parameter_of(j);
+            const int n = (int)FO_RESISTANCE + j;
             row[FO_NF + n] -= a->std[n] * dot(row, b->sensitivity[j]);
         }
         r->innovation[w] = -sums->residual[w];
@@ -669,10 +669,10 @@ static marginal_pair marginal_variance(const fo_adaptive *a, const fo_learner *s
         direction[FO_N + i] = time * across[i];
     }
     for (int j = 0; j < (int)FO_NS; j++) {
-        direction[FO_NF + parameter_of(j)] = moved[j];
+        direction[FO_NF + FO_RESISTANCE + j] = moved[j];
     }
     for (int i = 0; i < FO_N; i++) {
-        direction[FO_NF + FO_OFFSET + i] =
+        direction[FO_NF + FO_OFFSET + i] +=
             a->plain.L_position * a->std[FO_OFFSET + i] * across[i];
     }
     const fo_real level = s->noise_level > NOISE_LEVEL_MIN ? s->noise_level : NOISE_LEVEL_MIN;
@@ -697,7 +697,7 @@ static void update_report_variances(const fo_adaptive *a, fo_learner *s, const f
     const fo_real q = point->armature_flux[1];
     const marginal_pair now = marginal_variance(a, s, across, ZERO, moved, q);
     for (int j = 0; j < (int)FO_NS; j++) { /* relative to the rotor, as in this block */
-        moved[j] = a->std[parameter_of(j)] * dot(across, b->sensitivity[j]);
+        moved[j] = a->std[FO_RESISTANCE + j] * dot(across, b->sensitivity[j]);
     }
     turn(across, fo_abs(b->turned) < ONE ? b->turned : ZERO, next);
     const marginal_pair then = marginal_variance(a, s, next, b->time, moved, q);

@@ -52,12 +52,6 @@ static inline const fo_map_point *map_of(const fo_block_end *end)
 #endif
 }
 
-/* The parameter of a block's sensitivity j. */
-static inline int parameter_of(int j)
-{
-    return j < 3 ? (int)FO_RESISTANCE + j : (int)FO_ASYMMETRY + j - 3;
-}
-
 /* Sums over a block of w, of w h and of w t h, for the weights w = 1, h_0, h_1. */
 static inline fo_real sum_of_weight(const fo_sums *sums, int w)
 {

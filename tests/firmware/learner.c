@@ -77,7 +77,7 @@ int main(void)
             for (int j = 0; j < (int)FO_NS; j++) {
                 const int n = (int)FO_RESISTANCE + j;
                 s.plain.volt_seconds[i] += s.learner.p[n] * effect[n][i];
-                s.block.sensitivity[j][i] += effect[n][i];
+                s.block.sensitivity[j][i] += effect[n][i] / a.std[n];
             }
             s.plain.current[0][i] = next();
         }

@@ -177,6 +177,7 @@ static void check_step_flux(void)
 /* The transition to the end of a block: P <- F P F'. */
 static void check_propagation(void)
 {
+    static fo_adaptive a;
     fo_learner s;
     fo_block b;
     static double info[FO_NA * FO_NA], P[FO_NA * FO_NA], F[FO_NA * FO_NA], Q[FO_NA * FO_NA];
@@ -186,6 +187,9 @@ static void check_propagation(void)
     memset(F, 0, sizeof F);
     random_triangle(FO_NA, s.U, s.d, s.z);
     b.time = (fo_real)0.3;
+    for (int j = 0; j < FO_NP; j++) {
+        a.std[j] = (fo_real)(0.2 + 0.1 * uniform());
+    }
     for (int i = 0; i < FO_NA; i++) {
         F[i * FO_NA + i] = 1.0;
     }
@@ -193,7 +197,8 @@ static void check_propagation(void)
         F[i * FO_NA + FO_N + i] = (double)b.time;
         for (int j = 0; j < FO_NS; j++) {
             b.sensitivity[j][i] = (fo_real)uniform();
-            F[i * FO_NA + FO_NF + FO_RESISTANCE + j] = (double)b.sensitivity[j][i];
+            F[i * FO_NA + FO_NF + FO_RESISTANCE + j] =
+                (double)(a.std[FO_RESISTANCE + j] * b.sensitivity[j][i]);
         }
     }
     expand(FO_NA, FO_NA, s.U, s.d, info);
@@ -208,7 +213,7 @@ static void check_propagation(void)
             }
         }
     }
-    propagate(&s, &b);
+    propagate(&a, &s, &b);
     expand(FO_NA, FO_NA, s.U, s.d, info);
     invert(FO_NA, info, Q);
     compare("transition", Q, sought, FO_NA * FO_NA);
@@ -252,14 +257,14 @@ static void check_derivatives(void)
             if (n < FO_N) {
                 t.flux[n] += by;
             } else {
-                t.value[n - FO_N] += a.std[n - FO_N] * by;
+                t.value[n - FO_N] += by;
             }
             fo_linearise(&a, t.value, t.flux, t.plain.current[0], &t.map_point, &at);
             add_sample(&a, &t, &t.map_point, &at);
             const fo_sums *sums = &t.now.sums;
             two[side] = (double)sums->residual[0];
             derivative += 0.5 * (double)(n < FO_N ? sums->h[n]
-                                         : n == FO_N ? -a.std[FO_PSI]
+                                         : n == FO_N ? -ONE
                                                      : sums->by_parameter[n - FO_N - 1][0]);
         }
         const double found = (two[1] - two[0]) / (2.0 * step);
@@ -286,7 +291,7 @@ static void check_block_rows(void)
     const double turned = 5.0, step = sizeof(fo_real) == sizeof(float) ? 1e-3 : 1e-6;
     c.flux[0] = (fo_real)step;
     c.change[FO_PSI] = (fo_real)(-0.5 * step);
-    c.value[FO_PSI] = a.std[FO_PSI] * c.change[FO_PSI];
+    c.value[FO_PSI] = c.change[FO_PSI];
     t = s;
     t.value[FO_PSI] = c.value[FO_PSI];
     for (int k = 0; k < samples; k++) {
@@ -325,7 +330,7 @@ static void check_block_rows(void)
         printf("rows of a block: right-hand side off by %g\n", far);
         failed = 1;
     }
-    correct_residuals(&a, &s.now.sums, &c);
+    correct_residuals(&s.now.sums, &c);
     for (int w = 0; w < FO_NW; w++) { /* to first order in the correction */
         const double off = fabs((double)(s.now.sums.residual[w] - t.now.sums.residual[w]));
         if (!(off < 1e-2 * samples * step)) {
@@ -345,7 +350,7 @@ static void check_sensitivities(void)
     memset(&s, 0, sizeof s);
     a.inverter_mean = (fo_real)0.4;
     a.plain.current_limit = (fo_real)100;
-    s.sample_index = 1U; /* the turn in which the gradient of the signs is updated */
+    s.sample_index = 3U; /* the turn in which the signs and their gradient are updated */
     const fo_real i[FO_N] = {(fo_real)1.2, (fo_real)-0.7}, u[FO_N] = {(fo_real)3, (fo_real)-5};
     for (int k = 0; k < FO_HISTORY; k++) {
         s.plain.current[k][0] = i[0];
@@ -358,8 +363,7 @@ static void check_sensitivities(void)
         for (int side = 0; side < 2; side++) {
             fo_adaptive_state t = s;
             fo_real mean[FO_N], lost[FO_N], left[FO_N];
-            t.value[FO_RESISTANCE + j] +=
-                a.std[FO_RESISTANCE + j] * (fo_real)(side == 0 ? -step : step);
+            t.value[FO_RESISTANCE + j] += (fo_real)(side == 0 ? -step : step);
             predicted_loss(&a, &t, i, mean, lost);
             correct_asymmetry(&t, u, left);
             for (int n = 0; n < FO_N; n++) { /* like the plain observer */

@@ -197,10 +197,10 @@ def test_the_layout_has_a_number_of_its_own():
     Blobs of earlier versions are then refused."""
     plain = list(_core.meanings)
     more = list(_core.adaptive_meanings)
-    assert (_core.layout, len(plain), len(more)) == (2, 24, 16)
+    assert (_core.layout, len(plain), len(more)) == (3, 24, 18)
     assert plain[:4] == ["Q1x2", "E", "row_Q2", "row_Q3"]
     assert plain[-3:] == ["position_noise", "sample_time", "track"]
-    assert more[-3:] == ["unmodelled", "slow", "projection"]
+    assert more[-3:] == ["guard_reinject", "guard_track", "projection"]
 
 
 @pytest.mark.parametrize("compiler", CPP_COMPILERS)

@@ -66,6 +66,15 @@ def test_memory(sizes, sample_time, speed, memory):
     assert chosen["tracker_bandwidth"] == pytest.approx(2000 / 3)
 
 
+def guard_tracker(plain):
+    """Return the gains of a tracker with two sample times: a triple pole."""
+    h, gains = plain["sample_time"], plain["track"]
+    share = 1.5 * h * gains[2] / gains[1]  # (1 - pole) / (1 + pole)
+    pole = 1 / (1 + 2 * 2 * share / (1 - share))  # twice 1 / pole - 1
+    gap = 1 - pole
+    return [1 - pole**3, 1.5 * gap**2 * (1 + pole) / (2 * h), gap**3 / (2 * h) ** 2]
+
+
 @pytest.mark.parametrize(
     ("name", "psi", "drop", "current", "saliency", "L_noise"),
     [
@@ -101,6 +110,8 @@ def test_standard_deviations_of_learnt_parameters(
         "through_L": (L_noise / psi) ** 2,
         "unmodelled": 0.1 * plain["drift_prior_std"],
         "slow": 0.03 / 100,
+        "guard_reinject": 1 - (1 - 2 * plain["h"]) ** 14,
+        "guard_track": guard_tracker(plain),
     }
     assert parameters.keys() == {*expected, "projection"}
     for field, value in expected.items():

@@ -106,7 +106,7 @@ static void check_adaptive(const fo_config *config, const fo_adaptive_config *ad
     fo_adaptive_reset(&one, &a);
     fo_adaptive_retune(&r, &hot, &changed);
     const fo_adaptive *fresh = fo_adaptive_take(&r, &a);
-    for (int k = 0; k < 2; k++) { /* the learner takes the new values with its next mail */
+    for (int k = 0; k < 4; k++) { /* the learner takes the new values with its next mail */
         fo_adaptive_step(fresh, &a, &samples[k][0], &samples[k][2], &ea);
     }
     fo_adaptive_learnt(fresh, &a, &after);
