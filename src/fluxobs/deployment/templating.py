@@ -11,7 +11,7 @@ from ..machines import RotatingMachine
 from ..observers import Estimate, outputs
 from ..observers.thresholds import VOLTAGE_LIMIT
 from .core import Core
-from .costs import cost_table, read_costs
+from .costs import cost_table, read_costs, task_table
 from .header import Exported, bases, parameters, settings
 from .variables import ADAPTIVE, output_variables
 from .vectors import COLUMNS
@@ -60,6 +60,7 @@ def _placeholders(core: Core) -> dict[str, str]:
         "outputs": _outputs_table(machine, adaptive),
         "columns": ", ".join(f'"{name}"' for name in COLUMNS),
         "costs": cost_table(costs),
+        "tasks": task_table(read_costs()["tasks"]),
         "parameters": str(costs["parameters"]),
         "facts": _facts_table(machine, core.single, core.update_every),
         "fo": "fo_adaptive" if adaptive else "fo",

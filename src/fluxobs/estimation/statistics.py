@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..core.arrays import Array
+from ..observers.adaptive import REASONS
 from .columns import EstimateRows
 from .quality import Quality
 from .truth import TruthSamples
@@ -58,6 +59,8 @@ class Statistics:
     last_adapting: dict[str, float] = field(default_factory=dict)
     truth: TruthSamples | None = None
     quality: Quality = field(default_factory=Quality)
+    # Rows without a valid position, by the observer's reason.
+    not_valid: dict[str, int] = field(default_factory=dict)
     thin: Series = field(default_factory=Series)
     detail: Series = field(default_factory=Series)
 
@@ -88,6 +91,13 @@ class Statistics:
             self.sums[name] = self.sums.get(name, 0.0) + float(values[valid].sum())
         if "quality" in rows.columns:
             self.quality.add(t, rows.columns["quality"])
+        if "valid_reason" in rows.columns:
+            reasons = rows.columns["valid_reason"]
+            for number in range(1, len(REASONS)):
+                with_reason = int((reasons == number).sum())
+                if with_reason:
+                    before = self.not_valid.get(REASONS[number], 0)
+                    self.not_valid[REASONS[number]] = before + with_reason
         adapting = rows.more.get("adapting")
         if adapting is not None and adapting.any():
             row = int(np.flatnonzero(adapting)[-1])

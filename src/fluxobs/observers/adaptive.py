@@ -179,7 +179,11 @@ class AdaptiveEstimate(Estimate):
         )
     )
     valid_reason: Array = field(
-        metadata=output("", "Why the position is not valid: an index of REASONS", in_files=False)
+        metadata=output(
+            "",
+            "Why the position is not valid: 0 valid, 1 no data, 2 searching, 3 settling, 4 slow, "
+            "5 uncertain, 6 contradicted, 7 unconfirmed, 8 outside map, 9 bad sample",
+        )
     )
 
 

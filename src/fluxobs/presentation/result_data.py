@@ -36,6 +36,9 @@ def facts(result: LogRun, warnings: list[str], truth: TruthFit | None) -> dict[s
             name: {"rows": entry.rows, "stretches": entry.count, "first": entry.stretches[:10]}
             for name, entry in statistics.quality.marked.items()
         },
+        "not_valid": {
+            reason: count / statistics.rows for reason, count in statistics.not_valid.items()
+        },
         "error": None,
         "truth": None,
         "notes": list(log.notes),

@@ -20,6 +20,8 @@ EVENTS = tuple(mark.name for mark in MARKS if not mark.fault)
 NAMED_MARKS = 3
 #: Contributions that the summary names.
 BUDGET_ITEMS = 3
+#: Least share of the rows of a reason that the summary names.
+LEAST_SHARE = 0.001
 
 
 def si(value: float, unit: str) -> str:
@@ -41,7 +43,7 @@ def paragraph(result: LogRun, checked: Check | None, truth: TruthFit | None) -> 
         unknowns = " and ".join(result.observer.immersion.unknowns)
         opening += f" Unknowns: {unknowns}; memory {result.observer.memory:g} s."
     if statistics.first_valid is None:
-        return f"{opening} The position was never valid."
+        return " ".join([opening, "The position was never valid.", *_not_valid(result)])
     share = statistics.valid / statistics.rows
     sentences = [
         opening,
@@ -53,6 +55,7 @@ def paragraph(result: LogRun, checked: Check | None, truth: TruthFit | None) -> 
         *_flux(result),
         *_parameters(result),
         *_score(result, truth),
+        *_not_valid(result),
         *_quality(result),
         *_budget(result),
         *([checked.untold] if checked is not None and checked.untold else []),
@@ -178,6 +181,17 @@ def _parameters(result: LogRun) -> list[str]:
     if unidentified:
         sentences.append(f"Not identifiable from this log: {', '.join(unidentified)}.")
     return sentences
+
+
+def _not_valid(result: LogRun) -> list[str]:
+    """Say why the observer of a drive held back its position."""
+    rows, reasons = result.statistics.rows, result.statistics.not_valid
+    shares = [
+        f"{reason} {count / rows:.1%}"
+        for reason, count in sorted(reasons.items(), key=lambda entry: -entry[1])
+        if count >= LEAST_SHARE * rows
+    ]
+    return [f"Not valid: {', '.join(shares)}."] if shares else []
 
 
 def _quality(result: LogRun) -> list[str]:
