@@ -62,8 +62,8 @@ def start_speed(observer: AdaptiveObserver, cell: Cell) -> float:
     """Return the speed to which an open-loop start must accelerate [rad/s electrical]."""
     drop = observer.resistance_std * cell.current
     voltage_std = float(np.hypot(drop, observer.inverter_std))
-    emf = float(cell.machine.flux_base(cell.current))
-    return min(EMF_RATIO * voltage_std / emf, FASTEST_START * cell.rated.speed_e)
+    flux = cell.voltage / cell.rated.speed_e
+    return min(EMF_RATIO * voltage_std / flux, FASTEST_START * cell.rated.speed_e)
 
 
 def in_loop(candidate: Candidate, cell: Cell) -> Callable[[Drive], Drive]:
