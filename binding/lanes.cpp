@@ -105,7 +105,7 @@ inline V atan2_of(V y, V x) {
 
 /* Numbers of fo_state that a good sample changes. */
 #define LANE_NUMBERS(X)                                                                        \
-    X(step) X(length) X(noise_ratio) X(noise_inflation) X(voltage_turn) X(innovation)          \
+    X(step) X(length) X(noise_ratio) X(noise_ratio_without_ripple) X(noise_inflation) X(voltage_turn) X(innovation)          \
     X(power) X(lag_one) X(noise_share) X(inflation) X(angle_variance) X(drift_prior) X(theta)  \
     X(rotation) X(variance) X(variance_growth) X(open_loop_time) X(open_loop_length)           \
     X(open_loop_error) X(tracker.angle) X(tracker.speed) X(tracker.acceleration)               \
@@ -124,7 +124,7 @@ struct Lanes {
     Factor info;
     V x[FO_NX], current[FO_HISTORY][FO_N], source[FO_N], held_source[FO_N], source_step[FO_N];
     V volt_seconds[FO_N], flux[FO_N], drift[FO_N];
-    V step, length, noise_ratio, noise_inflation, voltage_turn, innovation, power, lag_one,
+    V step, length, noise_ratio, noise_ratio_without_ripple, noise_inflation, voltage_turn, innovation, power, lag_one,
         noise_share, inflation, angle_variance, drift_prior, theta, rotation, variance,
         variance_growth, open_loop_time, open_loop_length, open_loop_error;
     struct {
@@ -411,15 +411,23 @@ inline void step(const fo_observer &o, Lanes &l, Sample &s, Estimates &e) {
     measurement m = {s.rhs, all(ONE)};
     add_row<S>(l.info, s.row, m);
     const V innovation = root(m.weight) * m.rhs, share = o.h * innovation;
-    V third[2];
-    for (int i = 0; i < FO_N; i++)
-        third[i] = third_difference(l.current[0][i], l.current[1][i], l.current[2][i], l.current[3][i]);
+    V third[2], sums[2];
+    for (int i = 0; i < FO_N; i++) {
+        const V i0 = l.current[0][i], i1 = l.current[1][i], i2 = l.current[2][i],
+                i3 = l.current[3][i];
+        third[i] = third_difference(i0, i1, i2, i3);
+        sums[i] = difference_of_sums(i0, i1, i2, i3);
+    }
     l.power = o.rho * l.power + share * innovation;
     l.lag_one = o.rho * l.lag_one + share * l.innovation;
     l.innovation = innovation;
     l.info.noise[0] += o.noise_information * l.noise_inflation;
     l.noise_ratio += o.h * (inner(third, third) * o.over_noise - l.noise_ratio);
-    l.noise_inflation = select(l.noise_ratio > ONE, l.noise_ratio, all(ONE));
+    l.noise_ratio_without_ripple +=
+        o.h * ((fo_real)5 * inner(sums, sums) * o.over_noise - l.noise_ratio_without_ripple);
+    const V least = select(l.noise_ratio < l.noise_ratio_without_ripple, l.noise_ratio,
+                           l.noise_ratio_without_ripple);
+    l.noise_inflation = select(least > ONE, least, all(ONE));
 
     solve(&l.info, l.x);
     V square = position_vector(o, l, &l.x[FLUX], p);

@@ -308,6 +308,7 @@ bool fo_damaged(const fo_observer *o, const fo_state *s)
         const fo_real drift = WIDEN * FLUX_STEP_LIMIT, least = s->drift_prior * drift * drift;
         damaged = damaged || sum != ZERO ||
                   !within(s->noise_ratio, ZERO, ratio_max) ||
+                  !within(s->noise_ratio_without_ripple, ZERO, ratio_max) ||
                   !(s->info.noise[0] * o->h <= TWO * o->noise_information * ratio_max) ||
                   !(least >= o->h * o->h) ||
                   !(s->drift_prior * o->drift_prior_std * o->drift_prior_std <= TWO);
@@ -495,13 +496,21 @@ static void update_measurement(const fo_observer *o, fo_state *s, fo_real row[FO
                                                   s->current[2][0], s->current[3][0]),
                                  third_difference(s->current[0][1], s->current[1][1],
                                                   s->current[2][1], s->current[3][1])};
+    const fo_real sums[FO_N] = {difference_of_sums(s->current[0][0], s->current[1][0],
+                                                   s->current[2][0], s->current[3][0]),
+                                difference_of_sums(s->current[0][1], s->current[1][1],
+                                                   s->current[2][1], s->current[3][1])};
     const fo_real share = o->h * e;
     s->power = o->rho * s->power + share * e;
     s->lag_one = o->rho * s->lag_one + share * s->innovation;
     s->innovation = e;
     s->info.noise[0] += o->noise_information * s->noise_inflation;
     s->noise_ratio += o->h * (dot(third, third) * o->over_noise - s->noise_ratio);
-    s->noise_inflation = s->noise_ratio > ONE ? s->noise_ratio : ONE;
+    s->noise_ratio_without_ripple +=
+        o->h * ((fo_real)5 * dot(sums, sums) * o->over_noise - s->noise_ratio_without_ripple);
+    const fo_real least = s->noise_ratio < s->noise_ratio_without_ripple
+                              ? s->noise_ratio : s->noise_ratio_without_ripple;
+    s->noise_inflation = least > ONE ? least : ONE;
 }
 
 /* ---- certainty ------------------------------------------------------------------------ */

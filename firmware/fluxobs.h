@@ -161,7 +161,8 @@ typedef struct {
     fo_real source_step[FO_N];           /* last step of held_source                             */
     fo_real step, length;                /* last step and length of the position vector          */
     fo_real noise_ratio;                 /* variance of the current noise / assumed variance     */
-    fo_real noise_inflation;             /* noise_ratio, but at least 1                          */
+    fo_real noise_ratio_without_ripple;  /* the same, without a ripple at half the sampling rate */
+    fo_real noise_inflation;             /* the smaller of both, but at least 1                  */
     fo_real voltage_turn;                /* turn of the flux due to a voltage error as large as the
                                           * drift's prior std [flux base rad] */
     fo_real innovation;                  /* last innovation, normalised                          */

@@ -25,6 +25,7 @@ extern "C" {
 #define fo_adaptive FO_NAME(fo_adaptive)
 #define fo_block FO_NAME(fo_block)
 #define fo_sums FO_NAME(fo_sums)
+#define fo_ripple FO_NAME(fo_ripple)
 #define fo_candidate FO_NAME(fo_candidate)
 #define fo_search FO_NAME(fo_search)
 #define fo_block_end FO_NAME(fo_block_end)
@@ -158,6 +159,17 @@ typedef struct {
     fo_real volt_seconds[FO_N];           /* before the filter runs                            */
 } fo_block;
 
+/* Sums over the samples of a block for the row of the direction. If the flux across the rotor's d
+ * axis is wrong by e, the angle is wrong by e u, where u = 1 / |x|: where the current along d
+ * ripples, the angle ripples with u. du is the change of u in a sample, r that of the angle without
+ * the rotor's rotation. */
+typedef struct {
+    uint32_t samples;
+    fo_real product;                      /* du r                                              */
+    fo_real square, lagged;               /* du du; du and that of the sample before           */
+    fo_real h[FO_N], th[FO_N];            /* du du times the unit vector across x; times t     */
+} fo_ripple;
+
 /* Sums over the samples of a block with a measured current. h is the gradient of the residual
  * |x| - saliency i_d - psi_f by the flux, t the time. The weights w are 1, h_0, h_1: within more
  * than a quarter of a turn they are different rows. */
@@ -166,6 +178,7 @@ typedef struct {
     fo_real h[FO_N], hh[3];               /* h; h_0 h_0, h_0 h_1, h_1 h_1                      */
     fo_real th[FO_N], thh[3];
     fo_real residual[FO_NW];              /* w residual                                        */
+    fo_ripple ripple;
     fo_real by_parameter[FO_NP - 1][FO_NW]; /* w times derivatives by all but psi_f [1 / units] */
 } fo_sums;
 
@@ -224,6 +237,8 @@ typedef struct {
     fo_real drift_std;                    /* std of the drift / its prior std                  */
     fo_real innovation_power;             /* power of the parameters' innovations / variance   */
     fo_real rows;                         /* measurement rows since the start                  */
+    fo_real direction_gain;               /* share of the flux error that the last row of the
+                                           * direction removed                                 */
 } fo_learning_report;
 
 typedef enum {
@@ -295,6 +310,8 @@ typedef struct {
     fo_real value[FO_NP];                /* errors of the parameters [their units]          */
     fo_real x[FO_N], theta;              /* direction of the position vector                */
     fo_tracker tracker;
+    fo_real inverse_length, ripple;      /* 1 / |x| of the last sample, its last change     */
+    uint32_t ripple_samples;             /* samples in a row with an angle and a current    */
     fo_real emf_ratio;                   /* integral of voltage_std / EMF [rad]             */
     fo_real voltage_turn;                /* turn of the flux by unmodelled voltages [rad]   */
     fo_real signs[2][FO_N];              /* soft signs of the phase currents, for the loss  */

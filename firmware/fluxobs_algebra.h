@@ -177,4 +177,11 @@ static inline FO_VALUE third_difference(FO_VALUE i0, FO_VALUE i1, FO_VALUE i2, F
     return i0 - i3 + (fo_real)3 * (i2 - i1);
 }
 
+/* A second difference of sums of two samples: noise contributes a fifth of its power to a third
+ * difference, a ripple at half the sampling rate nothing. */
+static inline FO_VALUE difference_of_sums(FO_VALUE i0, FO_VALUE i1, FO_VALUE i2, FO_VALUE i3)
+{
+    return i0 - i1 - i2 + i3;
+}
+
 #endif

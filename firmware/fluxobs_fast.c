@@ -145,7 +145,9 @@ static void predicted_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_
                       (fo_real)(1.0 / 24.0);
         }
     }
-    if (fo_abs(s->tracker.speed) * a->plain.sample_time > HELD_TURN) {
+    /* with a ripple in the current, the signs change from sample to sample */
+    if (s->report.direction_gain > ZERO ||
+        fo_abs(s->tracker.speed) * a->plain.sample_time > HELD_TURN) {
         update_signs(a, s, mean);
     } else if (is_filter_turn(s)) {
         update_signs(a, s, now);
@@ -314,6 +316,7 @@ static void post(const fo_adaptive *a, fo_adaptive_state *s, const fo_real mean[
 /* Moves the sums of the present block to the corrected flux, drift and parameters. */
 static void correct_residuals(fo_sums *sums, const fo_answer *c)
 {
+    sums->ripple.product += dot(sums->ripple.h, c->flux) + dot(sums->ripple.th, c->drift);
     for (int w = 0; w < (int)FO_NW; w++) {
         fo_real sum = dot(sums_of_h(sums, w), c->flux) + dot(sums_of_th(sums, w), c->drift) -
                       c->change[FO_PSI] * sum_of_weight(sums, w);
@@ -349,6 +352,12 @@ static void take_correction(const fo_adaptive *a, fo_adaptive_state *s, const fo
         s->drift[i] += c->drift[i];
     }
     take_values(a, s, c);
+    s->ripple_samples = 0U; /* the angle has changed */
+    /* A row of the direction limits the flux error like a rotation by its gain [rad]. */
+    const fo_real kept = ONE - s->report.direction_gain;
+    s->emf_ratio *= kept;
+    s->voltage_turn *= kept;
+    s->confirmed += s->report.direction_gain;
 }
 
 /* Takes a candidate, or starts the filter from it. */
@@ -375,6 +384,7 @@ static void take_candidate(const fo_adaptive *a, fo_adaptive_state *s, const fo_
         s->voltage_turn = ZERO;
         s->disagreement = ZERO;
         s->block.turned = ZERO;
+        s->ripple_samples = 0U;
         (void)memset(&s->now.sums, 0, sizeof s->now.sums);
         if (a->projection == FO_PROJECT_NEVER) {
             s->tracker = s->plain.tracker;
@@ -624,9 +634,38 @@ static void add_sample(const fo_adaptive *a, fo_adaptive_state *s, const fo_map_
     sums->samples++;
 }
 
+/* Is the machine salient? Otherwise the length of x does not change with the current. */
+static bool is_salient(const fo_adaptive *a)
+{
+    return fo_abs(a->saliency) > ZERO || (has_map(&a->plain) && !has_cage_map(&a->plain));
+}
+
+/* Adds a sample to the sums for the row of the direction, before `s->theta` becomes `theta`. */
+static void add_ripple(const fo_adaptive *a, fo_adaptive_state *s, bool measured, fo_real theta,
+                       const fo_linearisation *point)
+{
+    fo_ripple *p = &s->now.sums.ripple;
+    const fo_real u = ONE / point->length, change = u - s->inverse_length;
+    if (s->ripple_samples > 1U && measured) {
+        const fo_real r = wrap(theta - s->theta) - s->tracker.speed * a->plain.sample_time;
+        const fo_real square = change * change, t = square * s->block.time;
+        p->samples++;
+        p->product += change * r;
+        p->square += square;
+        p->lagged += change * s->ripple;
+        p->h[0] -= square * point->direction[1];
+        p->h[1] += square * point->direction[0];
+        p->th[0] -= t * point->direction[1];
+        p->th[1] += t * point->direction[0];
+    }
+    s->ripple_samples = measured ? s->ripple_samples + 1U : 0U;
+    s->ripple = change;
+    s->inverse_length = u;
+}
+
 /* Integrates the filter's flux, and may add the sample to the block. Returns whether the position
  * vector is plausible. */
-static bool step_filter(const fo_adaptive *a, fo_adaptive_state *s, bool add,
+static bool step_filter(const fo_adaptive *a, fo_adaptive_state *s, bool measured, bool add,
                         fo_linearisation *point)
 {
     const fo_observer *o = &a->plain;
@@ -638,10 +677,13 @@ static bool step_filter(const fo_adaptive *a, fo_adaptive_state *s, bool add,
     const bool plausible = point->length * point->length > o->square_min / (fo_real)16 &&
                            dot(s->flux, s->flux) < RUNAWAY;
     if (plausible) {
-        if (add) {
+        if (measured && add) {
             add_sample(a, s, map, point);
         }
         const fo_real theta = fo_atan2(point->x[1], point->x[0]);
+        if (is_salient(a)) {
+            add_ripple(a, s, measured, theta, point);
+        }
         s->block.turned += wrap(theta - s->theta);
         s->theta = theta;
         s->x[0] = point->direction[0];
@@ -696,7 +738,7 @@ static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real
     fo_linearisation point;
     const bool quick = is_quick(a, s), slower = quick || is_filter_turn(s);
     const fo_real samples = quick ? ONE : TWO;
-    if (step_filter(a, s, measured && slower, &point)) {
+    if (step_filter(a, s, measured, slower, &point)) {
         track(&a->plain, &s->tracker, s->theta);
         settle_tracker(&a->plain, &s->tracker, s->theta, s->std);
         if (slower) {

@@ -35,6 +35,17 @@ static const uint32_t FORGETTING_ROUND = 16U;
 /* A row of a block is used if its weight varies within the block by more than this share [1]: the
  * rows with the weights h differ from the first only if the rotor turns by a quarter of a turn. */
 static const fo_real ROW_MIN = (fo_real)0.1;
+/* A row of the direction is used if this share of the ripple is not noise [1]: noise has a share of
+ * 0 +- 1 / sqrt(samples). */
+static const fo_real RIPPLE_MIN = (fo_real)0.5;
+/* The changes du must alternate from sample to sample: their correlation with the ones before is -1
+ * for a ripple at half the sampling rate, -1/2 for noise, near 1 for loads, offsets and unequal gains
+ * of the sensors. These make the angle ripple, too: with them, a tenth of 128 drives without
+ * injection had a row that was sure and wrong [1]. */
+static const fo_real ALTERNATING_MIN = (fo_real)0.75;
+/* Std of a direction due to model errors [rad]: one degree, as by a tilt of the axis by
+ * cross-saturation or by the inverter's loss of the rippling current. */
+static const fo_real TILT = PI / (fo_real)180;
 /* Share of the squared parameter-to-EMF ratio that a start adds to the variances of flux and drift
  * [1]. */
 static const fo_real START_SHARE_OF_EMF_RATIO = (fo_real)0.3;
@@ -565,7 +576,8 @@ typedef struct {
     fo_real variance;    /* of a row of a whole block                                */
     fo_real curvature;   /* squared error across the position vector / its length    */
     fo_real rows;        /* rows at this operating point                             */
-    fo_real shape;       /* error of the length by unmodelled voltages               */
+    fo_real lag;         /* variance of a row by lags                                */
+    fo_real systematic;  /* variance by other errors that no column describes        */
     bool learn;          /* update the parameters                                    */
 } block_context;
 
@@ -596,9 +608,8 @@ static void update_by_row(const fo_adaptive *a, fo_learner *s, const block_conte
     }
     if (informative && !outlier && c->learn) {
         const fo_real level = s->noise_level > ONE ? s->noise_level : ONE;
-        const fo_real variance = ONE / information + lag_variance(a, &c->point, c->speed);
-        const fo_real systematic = c->shape * c->shape + oscillating_variance(a, &c->point);
-        const fo_real weight = ONE / ((c->rows * variance + systematic) * level);
+        const fo_real variance = ONE / information + c->lag;
+        const fo_real weight = ONE / ((c->rows * variance + c->systematic) * level);
         if (weight > ZERO) {
             update_parameters(a, s, row, innovation, weight);
         }
@@ -616,6 +627,51 @@ static void update_by_row(const fo_adaptive *a, fo_learner *s, const block_conte
     }
 }
 
+/* The row of the direction: 0 = sum of du r, where du is the change of 1 / |x|. Noise of the current
+ * ripples u, too; its share of the squares is no information. */
+typedef struct {
+    fo_real row[FO_NA], innovation;
+    fo_real information;  /* 0: the row is not used */
+    fo_real systematic;   /* variance of the row by model errors */
+    fo_real gain;         /* share of the error of the row that it removes */
+} direction_row;
+
+static void make_direction_row(const fo_adaptive *a, const fo_learner *s, const fo_block *b,
+                               const fo_ripple *p, const fo_block_end *end,
+                               const fo_linearisation *point, direction_row *r)
+{
+    const fo_real L_q = a->plain.L_position, ratio = L_q / (L_q + a->saliency);
+    const fo_real noise = a->through_L * ratio * ratio * end->noise_inflation; /* of x across */
+    const fo_real square = point->length * point->length, of_u = noise / (square * square);
+    const fo_real true_square = p->square - TWO * (fo_real)p->samples * of_u;
+    (void)memset(r, 0, sizeof *r);
+    if (true_square > RIPPLE_MIN * p->square && -p->lagged > ALTERNATING_MIN * p->square) {
+        const fo_real share = true_square / p->square;
+        for (int i = 0; i < FO_N; i++) {
+            const fo_real h = share * p->h[i];
+            r->row[i] = h;
+            r->row[FO_N + i] = share * p->th[i] - b->time * h;
+            r->row[FO_NF + FO_OFFSET + i] = L_q * a->std[FO_OFFSET + i] * h;
+        }
+        for (int j = 0; j < (int)FO_NS; j++) { /* the sensitivities grow with the time */
+            const int n = FO_RESISTANCE + j;
+            r->row[FO_NF + n] += a->std[n] * (share / b->time * dot(p->th, b->sensitivity[j]) -
+                                              dot(r->row, b->sensitivity[j]));
+        }
+        r->row[FO_NF + FO_INDUCTANCE + 1] =
+            -a->std[FO_INDUCTANCE + 1] * point->armature_flux[1] * true_square;
+        r->innovation = -p->product;
+        const fo_real variance = noise / square * TWO * (p->square - p->lagged);
+        const fo_real tilt = TILT * point->length * true_square;
+        r->information = ONE / variance;
+        r->systematic = tilt * tilt;
+        fo_real direction[FO_NA];
+        (void)memcpy(direction, r->row, sizeof direction);
+        const fo_real known = fo_marginal_variance(FO_NA, s->U, s->d, 0, FO_NA, direction);
+        r->gain = known / (known + variance);
+    }
+}
+
 /* Measurement update by the rows of a block in which the rotor has turned. */
 static void update_by_block(const fo_adaptive *a, fo_learner *s, const fo_block *b,
                             const fo_sums *sums, const fo_block_end *end, fo_real change[FO_NA])
@@ -623,16 +679,22 @@ static void update_by_block(const fo_adaptive *a, fo_learner *s, const fo_block 
     block_context c;
     block_rows r;
     fo_real value[FO_NP];
-    const fo_real turned = fo_abs(b->turned), blocks = turned / BLOCK;
+    direction_row d;
     fo_learning_values(a, s, value);
     fo_linearise(a, value, end->flux, end->current, map_of(end), &c.point);
-    c.speed = turned / b->time;
+    make_direction_row(a, s, b, &sums->ripple, end, &c.point, &d);
+    s->report.direction_gain = d.gain;
+    /* a row of the direction limits the flux error like a rotation by its gain */
+    const fo_real turned = fo_abs(b->turned) + d.gain, blocks = turned / BLOCK;
+    c.speed = fo_abs(b->turned) / b->time;
     c.curvature = (s->report.variance_across + s->report.growth * b->time * b->time) /
                   c.point.length;
     c.variance = MODEL * MODEL + c.curvature * c.curvature / TWO +
                  a->through_L * end->noise_inflation * (blocks > ONE ? blocks : ONE) /
                      (fo_real)sums->samples;
-    c.shape = b->unmodelled / turned;
+    const fo_real shape = b->unmodelled / turned; /* length by unmodelled voltages */
+    c.lag = lag_variance(a, &c.point, c.speed);
+    c.systematic = shape * shape + oscillating_variance(a, &c.point);
     c.rows = count_rows_at_point(a, s, &c.point, c.speed, blocks);
     c.learn = !s->frozen && end->emf_ratio < EMF_RATIO_LIMIT &&
               c.curvature < LEARN_STD * LEARN_STD * c.point.length;
@@ -642,6 +704,12 @@ static void update_by_block(const fo_adaptive *a, fo_learner *s, const fo_block 
         if (r.share[w] > ZERO) {
             update_by_row(a, s, &c, r.row[w], r.innovation[w], r.share[w] * blocks, w == 0, change);
         }
+    }
+    if (d.information > ZERO) {
+        block_context along = c;
+        along.variance = ONE / d.information;
+        along.systematic = d.systematic;
+        update_by_row(a, s, &along, d.row, d.innovation, ONE, false, change);
     }
     if (c.learn) {
         forget_parameters(a, s, b->time);
@@ -715,7 +783,9 @@ static void learn_block(const fo_adaptive *a, fo_learner *s, const fo_mail *m, f
     fo_linearisation point;
     fo_real change[FO_NA] = {0};
     predict_block(a, s, b);
-    if (m->data.sums.samples > 0U && fo_abs(b->turned) > TURNED_MIN) {
+    s->report.direction_gain = ZERO;
+    if (m->data.sums.samples > 0U &&
+        (fo_abs(b->turned) > TURNED_MIN || m->data.sums.ripple.square > ZERO)) {
         update_by_block(a, s, b, &m->data.sums, end, change);
     }
     for (int i = 0; i < FO_N; i++) {

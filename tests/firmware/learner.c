@@ -86,7 +86,7 @@ int main(void)
         s.block.time += a.plain.h;
         s.block.unmodelled +=
             (INVERTER_UNMODELLED + KNEE_UNMODELLED * knee) * s.report.loss_size * a.plain.h;
-        if (!step_filter(&a, &s, true, &point)) {
+        if (!step_filter(&a, &s, true, true, &point)) {
             return 1;
         }
         if (fabs(s.block.turned) >= BLOCK || s.block.time >= BLOCK_MAX) {

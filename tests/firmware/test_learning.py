@@ -48,7 +48,7 @@ def program(tmp_path_factory):
     return made
 
 
-def record(settings, jump=0.0, at=12.0, stop=False, inverter=0.05, noise=0.01):
+def record(settings, jump=0.0, at=12.0, stop=False, inverter=0.05, noise=0.01, ripple=0.0):
     """Return (volt-seconds, effects, current, roughness, knee) of a drive with loads, reversals."""
     rng = np.random.default_rng(3)
     t = H * np.arange(ROWS + 1)
@@ -57,7 +57,8 @@ def record(settings, jump=0.0, at=12.0, stop=False, inverter=0.05, noise=0.01):
         speed *= np.interp(t, [0, 9, 9.5, 11, 11.5, 24], [1, 1, 0, 0, 1, 1])
     theta = np.concatenate([[0.4], 0.4 + np.cumsum(H * (speed[1:] + speed[:-1]) / 2)])[: ROWS + 1]
     load = np.interp(t, [0, 2, 2.1, 5, 5.1, 10, 10.1, 24], [0.3, 0.3, 1, 1, -0.4, -0.4, 0.8, 0.8])
-    i = (0.2 * settings.saliency * 3 + 1j * load) * np.exp(1j * theta)
+    along = 0.2 * settings.saliency * 3 + ripple * (-1.0) ** np.arange(ROWS + 1)
+    i = (along + 1j * load) * np.exp(1j * theta)
     psi = 1.0 + settings.saliency * (i * np.exp(-1j * theta)).real
     flux = settings.L * i + psi * np.exp(1j * theta)
     mean = (i[1:] + i[:-1]) / 2
@@ -94,10 +95,22 @@ def pairs(z):
         (SETTINGS, {"jump": 0.6, "at": 0.8}),  # Just late enough for a return.
         (SETTINGS, {"noise": 0.0, "inverter": 0.0}),
         (SETTINGS, {"stop": True}),  # Time ends the blocks.
+        (replace(SETTINGS, saliency=-0.2), {"stop": True, "ripple": 0.2}),  # Direction at rest.
         (replace(SETTINGS, inverter_mean=0.0), {"inverter": -0.03}),  # No inverter adds voltage.
         (replace(SETTINGS, slow=0.5), {}),  # Parameters are forgotten.
     ],
-    ids=["plain", "salient", "jump", "early", "late", "quiet", "stop", "negative", "forgets"],
+    ids=[
+        "plain",
+        "salient",
+        "jump",
+        "early",
+        "late",
+        "quiet",
+        "stop",
+        "ripple",
+        "negative",
+        "forgets",
+    ],
 )
 def test_c_is_its_twin(program, settings, changes):
     first, v, effect, current, knee = record(settings, **changes)

@@ -15,7 +15,7 @@ compares the numbers of firmware and reference.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ BLOCK, BLOCK_MOST, MODEL = np.pi / 4, 0.3, 0.002
 INVERTER_UNMODELLED, KNEE_UNMODELLED, DRIFT_MEMORY = 0.05, 0.3, 100.0
 ROWS, CLIP, PROVEN, LEVEL_LEAST = 16.0, 25.0, 8.0, 0.02
 NEW_POINT, ROUND, HEAT_WALK, SIXTH, LEARN_STD = 0.3, 16, 0.1, 0.3, np.pi / 9
+RIPPLE_MIN, ALTERNATING_MIN, TILT = 0.5, 0.75, np.pi / 180
 #: Order of the parameters, and their number.
 PSI, RESISTANCE, INVERTER, OFFSET, ASYMMETRY, INDUCTANCE, COUNT = 0, 1, 2, 4, 6, 8, 10
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -70,6 +71,17 @@ class Linearisation:
     current_length: float  # contribution of the current to the length
 
 
+@dataclass(frozen=True)
+class Ripple:
+    """A sample for the row of the direction."""
+
+    change: float  # of 1 / |x|
+    before: float  # its change a sample earlier
+    turned: float  # rotation
+    across: Array  # unit vector across x
+    time: float  # since the start of the block
+
+
 @dataclass
 class Block:
     """Sums over the samples since the last row."""
@@ -83,6 +95,18 @@ class Block:
     slope: Array = field(default_factory=lambda: np.zeros(2))
     slope_time: Array = field(default_factory=lambda: np.zeros(2))
     along: Array = field(default_factory=lambda: np.zeros(COUNT))
+    ripples: list[Ripple] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measurement row: regressors of flux and drift, and of the parameters."""
+
+    fast: Array
+    slow: Array
+    value: float
+    information: float
+    systematic: float
 
 
 class LearningTwin:
@@ -104,6 +128,8 @@ class LearningTwin:
         self.point: Array = np.zeros(3)
         self.turn = self.loss_turn = 0
         self.loss_size = self._loss_size()
+        self.inverse_length = self.change = 0.0
+        self.angles = 0  # angles in a row without a correction
 
     # ---- a sample -------------------------------------------------------------------------
 
@@ -130,11 +156,23 @@ class LearningTwin:
         point = self._linearise(current)
         self._accumulate(point)
         theta = float(np.arctan2(point.x[1], point.x[0]))
-        b.turned += float(wrap(theta - self.theta))
+        turned = float(wrap(theta - self.theta))
+        self._accumulate_ripple(point, turned)
+        b.turned += turned
         self.theta = theta
         if abs(b.turned) >= BLOCK or b.time >= BLOCK_MOST:
             self._finish_block(current, roughness)
         return self.f.copy(), self.p.copy()
+
+    def _accumulate_ripple(self, at: Linearisation, turned: float) -> None:
+        u = 1 / at.length
+        change = u - self.inverse_length
+        if self.a.saliency and self.angles > 1:
+            self.block.ripples.append(
+                Ripple(change, self.change, turned, J @ at.d, self.block.time)
+            )
+        self.angles += 1
+        self.inverse_length, self.change = u, change
 
     def _loss_size(self) -> float:
         """Return the root of the squares of the inverter's loss and its standard deviation [V]."""
@@ -175,30 +213,39 @@ class LearningTwin:
 
     def _finish_block(self, current: Array, roughness: float) -> None:
         a, b = self.a, self.block
-        turned = abs(b.turned)
-        share = turned / BLOCK
-        inverter = b.unmodelled / b.time
+        truly = abs(b.turned)
         self._propagate(b, (a.unmodelled * b.time) ** 2 + b.unmodelled**2)
         self._forget_drift(b.time)
-        if turned > 1e-6:
+        if truly > 1e-6 or any(ripple.change for ripple in b.ripples):
             n = b.samples
-            at, speed = self._linearise(current), turned / b.time
-            fast = np.concatenate([b.slope, b.slope_time - b.time * b.slope]) / n
-            slow = b.along / n - b.effect @ fast[:2]
+            at, speed = self._linearise(current), truly / b.time
+            direction, gain = self._direction_row(at, b, roughness)
+            turned = truly + gain
+            share = turned / BLOCK
             curvature = (self.across + self.growth * b.time**2) / at.length
-            value = -b.residual / n - curvature / 2
             noise = a.through_L * roughness * max(share, 1.0) / n
             information = share / (MODEL**2 + curvature**2 / 2 + noise)
-            value, slow, information = self._update_fast(fast, slow, value, information)
-            outlier = self._assess(slow, value, information, share)
-            if outlier:
-                self._forget_drift(DRIFT_MEMORY)
+            armature = float(np.sum(np.square(at.current_flux)))
+            oscillating = (SIXTH * a.magnet_error) ** 2 + armature * a.current_gain_std**2
+            fast = np.concatenate([b.slope, b.slope_time - b.time * b.slope]) / n
+            length = Row(
+                fast,
+                b.along / n - b.effect @ fast[:2],
+                -b.residual / n - curvature / 2,
+                information,
+                (b.unmodelled / turned) ** 2 + oscillating,
+            )
             rows = self._rows_at_point(at, speed, share)
-            if curvature < LEARN_STD**2 * at.length:
-                if not outlier:
-                    weight = self._weight(at, rows, information, speed, inverter / speed)
-                    self._learn(slow, value, weight)
+            learns = curvature < LEARN_STD**2 * at.length
+            flux, parameters = self.f.copy(), self.p.copy()
+            self._update_by_row(length, at, rows, share, speed, learns)
+            if direction is not None:
+                moved = direction.fast @ (self.f - flux) + direction.slow @ (self.p - parameters)
+                direction = replace(direction, value=direction.value - moved)
+                self._update_by_row(direction, at, rows, 1.0, speed, learns)
+            if learns:
                 self._forget(b.time)
+        self.angles = 0
         at = self._linearise(current)
         self.loss_turn = (self.loss_turn + 1) % 3
         if self.loss_turn == 2:
@@ -206,17 +253,44 @@ class LearningTwin:
         self._update_variances(at, b)
         self.block = Block()
 
-    def _weight(
-        self, at: Linearisation, rows: float, information: float, speed: float, shape: float
-    ) -> float:
-        """Return the information of a row about the parameters."""
+    def _update_by_row(
+        self, row: Row, at: Linearisation, rows: float, share: float, speed: float, learns: bool
+    ) -> None:
+        value, slow, information = self._update_fast(row.fast, row.slow, row.value, row.information)
+        outlier = self._assess(slow, value, information, share)
+        if outlier:
+            self._forget_drift(DRIFT_MEMORY)
+        elif learns:
+            a, armature = self.a, float(np.sum(np.square(at.current_flux)))
+            omega = speed * a.h / a.sample_time
+            late = armature * omega**2 * (a.lag_std**2 + a.delay_std**2)
+            variance = rows * (1 / information + late) + row.systematic
+            self._learn(slow, value, 1 / (variance * max(self.level, 1.0)))
+
+    def _direction_row(
+        self, at: Linearisation, b: Block, roughness: float
+    ) -> tuple[Row | None, float]:
+        """Return the row 0 = Σ du r, and the share of its error that it removes."""
         a = self.a
-        armature = float(np.sum(np.square(at.current_flux)))
-        omega = speed * a.h / a.sample_time
-        late = armature * omega**2 * (a.lag_std**2 + a.delay_std**2)
-        oscillating = (SIXTH * a.magnet_error) ** 2 + armature * a.current_gain_std**2
-        variance = rows * (1 / information + late) + shape**2 + oscillating
-        return 1 / (variance * max(self.level, 1.0))
+        noise = a.through_L * (a.L / (a.L + a.saliency)) ** 2 * roughness
+        square = sum(ripple.change**2 for ripple in b.ripples)
+        true = square - 2 * len(b.ripples) * noise / at.length**4
+        lagged = sum(ripple.change * ripple.before for ripple in b.ripples)
+        if not (true > RIPPLE_MIN * square and -lagged > ALTERNATING_MIN * square):
+            return None, 0.0
+        share = true / square
+        h = share * sum((r.change**2 * r.across for r in b.ripples), np.zeros(2))
+        th = share * sum((r.change**2 * r.time * r.across for r in b.ripples), np.zeros(2))
+        slow = b.effect @ (th / b.time - h)
+        slow[PSI] = 0.0
+        slow[OFFSET : OFFSET + 2] += a.L * a.std[OFFSET : OFFSET + 2] * h
+        slow[INDUCTANCE + 1] = -a.std[INDUCTANCE + 1] * at.current_flux[1] * true
+        fast = np.concatenate([h, th - b.time * h])
+        value = -sum(ripple.change * ripple.turned for ripple in b.ripples)
+        variance = noise / at.length**2 * 2 * (square - lagged)
+        known = float(fast @ self.P @ fast) + self._parameter_variance(slow + fast @ self.S)
+        systematic = (TILT * at.length * true) ** 2
+        return Row(fast, slow, value, 1 / variance, systematic), known / (known + variance)
 
     def _update_variances(self, at: Linearisation, b: Block) -> None:
         """Variance across now, and its growth if the next block is like this one."""

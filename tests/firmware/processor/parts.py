@@ -53,6 +53,7 @@ PARTS = {
             "add_linear",
             "update_measurement",
             "third_difference",
+            "difference_of_sums",
             "push_current",
             "dot",
             "set_zero",
@@ -63,6 +64,7 @@ PARTS = {
     "bad samples": (
         (
             "process_sample",
+            "fo_step_merged_single",
             "classify",
             "is_outlier",
             "position_jumps",
@@ -115,7 +117,12 @@ OTHERS += (
     "fo_uneven_single",
     "fo_gather_single",
 )
-OTHERS += ("fo_step_volt_seconds_single", "fo_step_for_single", "memset")
+OTHERS += (
+    "fo_scale_to_duration_single",
+    "fo_step_volt_seconds_single",
+    "fo_step_for_single",
+    "memset",
+)
 
 
 def functions(program: Path, addresses: Iterable[int]) -> list[str]:
