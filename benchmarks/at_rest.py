@@ -1,0 +1,143 @@
+"""Position at rest and at a creep: a square wave of i_d at half the sampling rate.
+
+The record begins with a second at 30 % of the rated speed, so that the position is known. Then the
+rotor stands for three seconds and creeps at +1 % and -1 % of the rated speed, with load steps of
+60 % of the rated current twice a second. Offsets of the currents 1 %, of the voltages 0.3 %.
+
+python benchmarks/at_rest.py [--seeds 4] [--quick]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from common import Array, degrees_error, heading
+
+from fluxobs import AdaptiveObserver
+from fluxobs.machines import InteriorPMSM, RotatingMachine, example
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+from support.records import Samples, driven
+
+H, RATED_SPEED, TURNING, REST, CREEP = 1e-4, 474.0, 1.0, 3.0, 2.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A machine, its injection, and what the observer does not know.
+
+    `ripple` is the amplitude of i_d, `noise` that of the current, as shares of the rated current;
+    `resistance` is the assumed R over the true one, `loss` the voltage lost per phase [V].
+    """
+
+    machine: RotatingMachine
+    ripple: float = 0.02
+    noise: float = 0.002
+    resistance: float = 1.2
+    loss: float = 3.0
+    i_d: float = 0.0  # mean of i_d as a share of the rated current
+
+
+def interior(ratio: float) -> InteriorPMSM:
+    """Return a 2.2 kW machine with this ratio of L_q to L_d."""
+    L_d = 36e-3
+    return InteriorPMSM(R_s=3.6, L_d=L_d, L_q=ratio * L_d, psi_f=0.545, n_p=3, rated_current=7.0)
+
+
+MILD = Case(interior(1.5))
+CASES = {
+    "no injection": replace(MILD, ripple=0.0),
+    "R and V_d right": replace(MILD, resistance=1.0, loss=0.0),
+    "R + 20 %": replace(MILD, loss=0.0),
+    "dead time 1 %": replace(MILD, resistance=1.0),
+    "both": MILD,
+    "both, L_q / L_d 1.2": replace(MILD, machine=interior(1.2)),
+    "both, 1.2, noise 0.5 %, ripple 5 %": Case(interior(1.2), ripple=0.05, noise=0.005),
+    "both, PM-assisted with map": Case(example("ipm-5kw6")),
+    "both, reluctance": Case(example("synrm-6kw7"), i_d=0.4),
+    "both, saturated reluctance": Case(example("synrm-6kw7-saturated"), i_d=0.4),
+    "both, surface machine": Case(example("pmsm-2kw2")),
+}
+
+
+def record(case: Case, seed: int) -> tuple[Array, Samples, Array]:
+    """Return the samples of a case."""
+    rng = np.random.default_rng(seed)
+    rows = round((TURNING + REST + 2 * CREEP) / H)
+    t = H * np.arange(rows)
+    speed = np.interp(
+        t,
+        [0, TURNING, TURNING + 0.2, TURNING + REST, TURNING + REST + 0.2],
+        [0.3, 0.3, 0.0, 0.0, 0.01],
+    )
+    speed[t > TURNING + REST + CREEP] *= -1
+    rated = case.machine.rated_current
+    load = np.where(t % 1.0 > 0.5, 0.7, 0.1)
+    load = np.convolve(np.pad(load, (20, 19), mode="edge"), np.ones(40) / 40, "valid")
+    i_d = case.i_d + case.ripple * (-1.0) ** np.arange(rows)
+    flux = case.machine.flux_base(rated)
+    samples = driven(
+        case.machine,
+        H,
+        RATED_SPEED * speed,
+        rated * (i_d + 1j * load),
+        inverter=case.loss,
+        smoothing=0.03 * rated,
+        voltage_bias=complex(*rng.normal(0, 0.003, 2)) * RATED_SPEED * flux,
+        noise=case.noise * rated,
+        theta0=rng.uniform(-3, 3),
+        seed=seed,
+    )
+    return t, samples, samples.current + rng.normal(0, 0.01 * rated, 2)
+
+
+def score(case: Case, seed: int) -> tuple[float, ...]:
+    """Return share of valid rows, rms and largest error [°], median std [°], share within 2 std."""
+    t, samples, current = record(case, seed)
+    believed = case.machine.with_values(R_s=case.resistance * case.machine.R_s)
+    observer = AdaptiveObserver.for_machine(
+        believed, sample_time=H, unknowns=("drift", "resistance", "inverter")
+    )
+    estimate = observer.run(samples.voltage, current)
+    rows = t > TURNING + 0.5
+    error = np.abs(degrees_error(estimate.theta_e, samples.theta))[rows]
+    std, valid = np.degrees(estimate.theta_e_std)[rows], estimate.valid[rows]
+    if not valid.any():
+        return 0.0, np.nan, np.nan, np.nan, np.nan
+    return (
+        float(valid.mean()),
+        float(np.sqrt(np.mean(error[valid] ** 2))),
+        float(error[valid].max()),
+        float(np.median(std[valid])),
+        float(np.mean(error[valid] < 2 * std[valid])),
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--quick", action="store_true", help="two cases, one seed")
+    options = parser.parse_args()
+    heading("Position at rest and at a creep, from the ripple of i_d")
+    print("    valid rows from half a second after the stop begins; mean over the seeds")
+    print(f"    {'':36s}   valid     rms    most   sigma  2 sigma")
+    names = ["no injection", "both"] if options.quick else list(CASES)
+    for name in names:
+        seeds = 1 if options.quick else options.seeds
+        rows = np.array([score(CASES[name], seed) for seed in range(seeds)])
+        valid, rms, std, within = rows[:, 0], rows[:, 1], rows[:, 3], rows[:, 4]
+        if not valid.any():
+            print(f"    {name:36s}{0:8.1%}")
+            continue
+        print(
+            f"    {name:36s}{valid.mean():8.1%}{np.sqrt(np.nanmean(rms**2)):7.2f}°"
+            f"{np.nanmax(rows[:, 2]):7.2f}°{np.nanmean(std):7.2f}°{np.nanmean(within):9.1%}"
+        )
+
+
+if __name__ == "__main__":
+    main()
