@@ -79,9 +79,9 @@ LEARN = "fo_adaptive_learn_single"
 IDLE = 50
 #: Limits of the first build: instructions of a sample, bytes.
 BUDGETS = {
-    "plain": {"mean": 1300, "most": 1600, "state": 400, "stack": 256},
-    "adaptive": {"mean": 5400, "state": 1700, "stack": 1400},
-    "tasks": {"mean": 2500, "most": 4000, "stack": 320, "learn_most": 18000, "learn_bound": 25000},
+    "plain": {"mean": 1320, "most": 1600, "state": 400, "stack": 256},
+    "adaptive": {"mean": 4700, "state": 1700, "stack": 1400},
+    "tasks": {"mean": 2350, "most": 3400, "stack": 640, "learn_most": 18000, "learn_bound": 26000},
 }
 #: Largest difference of a fused build: share of the flux, angle [rad].
 FUSED = (1e-4, math.radians(0.05))
