@@ -218,8 +218,8 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
                 f"{said['angle_error_e9'] / 1e9:.0e} rad"
                 + ("" if ok else f"  FAILED, first at sample {said['first_row']}")
             )
-            if kind == "adaptive" and build is BUILDS[0]:
-                print_shares(machine, build, instructions)
+            if kind != "plain" and build is BUILDS[0]:
+                print_shares(kind, machine, build, instructions)
             costs["parameters"] = said["parameters"]
             costs["builds"].append(
                 {
@@ -252,8 +252,11 @@ def measure(kind: str, unknowns: tuple[str, ...], compiler: str) -> tuple[dict[s
     return costs, failed
 
 
-def print_shares(machine: fluxobs.Machine, build: Build, instructions: np.ndarray) -> None:
-    """Print the costs of a sample before and while the adaptive observer's filter runs."""
+def print_shares(
+    kind: str, machine: fluxobs.Machine, build: Build, instructions: np.ndarray
+) -> None:
+    """Print the costs of a sample before and while the adaptive observer's filter runs, and while
+    the position is valid."""
     observer = fluxobs.AdaptiveObserver.for_machine(
         machine,
         sample_time=SAMPLE_TIME,
@@ -262,11 +265,13 @@ def print_shares(machine: fluxobs.Machine, build: Build, instructions: np.ndarra
         precision="single",
     )
     record = firmware_record(machine, observer.plain)
-    running = observer.run(record.voltage, record.current).adapting
+    estimate = observer.run(record.voltage, record.current)
+    running = estimate.adapting
     print(
-        f"adaptive, {build.name}: starting on {1 - running.mean():.0%} of the rows, "
+        f"{kind}, {build.name}: starting on {1 - running.mean():.0%} of the rows, "
         f"mean {instructions[~running].mean():.0f} instructions; then "
-        f"{instructions[running].mean():.0f}"
+        f"{instructions[running].mean():.0f}; on valid rows "
+        f"{instructions[estimate.valid].mean():.0f}"
     )
 
 
