@@ -1054,7 +1054,8 @@ void fo_scale_to_duration(const fo_observer *o, fo_real duration, fo_observer *s
     const fo_real ratio = duration / o->sample_time;
     /* The tracker's pole p follows from its gains: 1.5 h track[2] / track[1] = (1 - p) / (1 + p).
      * The bandwidth stays the same: 1/p - 1 is proportional to the duration, to first order. */
-    const fo_real q = (fo_real)1.5 * o->sample_time * o->track[2] / o->track[1];
+    const fo_real q = o->track[1] > ZERO
+                          ? (fo_real)1.5 * o->sample_time * o->track[2] / o->track[1] : ZERO;
     const fo_real over = TWO * q / (ONE - q); /* 1/p - 1 */
     *scaled = *o;
     scaled->sample_time = duration;

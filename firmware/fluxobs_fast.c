@@ -20,9 +20,6 @@ static const fo_real VOLTAGE_TURN = (fo_real)0.05;
 static const fo_real STD_LOST = PI / (fo_real)6;
 /* Std of a valid angle, including errors of inductance and lag [rad]: 10 degrees. */
 static const fo_real STD_ALL = PI / (fo_real)18;
-/* Rotation in a sample above which the signs of the currents are those of the sample's mean current
- * [rad]: 1/128 of a turn. (Twice: 0.02 degrees more on the demo's record.) */
-static const fo_real HELD_TURN = PI / (fo_real)64;
 /* Rows of the filter before its position may be valid [1]: half a turn. */
 static const fo_real PROVEN_AFTER = (fo_real)4;
 /* Rows of the filter before its std may stop it [1]: two turns. A start at a std of 20 degrees
@@ -104,8 +101,8 @@ static bool is_quick(const fo_adaptive *a, const fo_adaptive_state *s)
     return fo_abs(s->tracker.speed) * a->plain.sample_time * (fo_real)4 > BLOCK;
 }
 
-/* Updates the soft signs of the phase currents. At low speed they hold for the interval that ends
- * with this current and for the next one: the current is the middle of both. */
+/* Updates the soft signs of the phase currents. They hold for the interval that ends with this
+ * current and for the next one: the current is the middle of both. */
 static void update_signs(const fo_adaptive *a, fo_adaptive_state *s, const fo_real current[FO_N])
 {
     const fo_real alpha = current[0] - s->value[FO_OFFSET],
@@ -145,9 +142,7 @@ static void predicted_loss(const fo_adaptive *a, fo_adaptive_state *s, const fo_
                       (fo_real)(1.0 / 24.0);
         }
     }
-    /* with a ripple in the current, the signs change from sample to sample */
-    if (s->report.direction_gain > ZERO ||
-        fo_abs(s->tracker.speed) * a->plain.sample_time > HELD_TURN) {
+    if (s->report.direction_gain > ZERO) { /* the current ripples from sample to sample */
         update_signs(a, s, mean);
     } else if (is_filter_turn(s)) {
         update_signs(a, s, now);
