@@ -1056,7 +1056,7 @@ void fo_scale_to_duration(const fo_observer *o, fo_real duration, fo_observer *s
      * The bandwidth stays the same: 1/p - 1 is proportional to the duration, to first order. */
     const fo_real q = o->track[1] > ZERO
                           ? (fo_real)1.5 * o->sample_time * o->track[2] / o->track[1] : ZERO;
-    const fo_real over = TWO * q / (ONE - q); /* 1/p - 1 */
+    const fo_real over = q < ONE ? TWO * q / (ONE - q) : (fo_real)1e6; /* 1/p - 1 */
     *scaled = *o;
     scaled->sample_time = duration;
     scaled->h = o->h * ratio;
