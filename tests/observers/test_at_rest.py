@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from support.records import driven
 
 from fluxobs import AdaptiveObserver
 from fluxobs.machines import InteriorPMSM, example
+from support.records import driven
 
 H, RATED_SPEED, TURNING, END = 1e-4, 474.0, 0.8, 2.6
 
