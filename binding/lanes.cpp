@@ -105,8 +105,9 @@ inline V atan2_of(V y, V x) {
 
 /* Numbers of fo_state that a good sample changes. */
 #define LANE_NUMBERS(X)                                                                        \
-    X(step) X(length) X(noise_ratio) X(noise_ratio_without_ripple) X(noise_inflation) X(voltage_turn) X(innovation)          \
-    X(power) X(lag_one) X(noise_share) X(inflation) X(angle_variance) X(drift_prior) X(theta)  \
+    X(step) X(length) X(noise_ratio) X(noise_ratio_without_ripple) X(noise_inflation)          \
+    X(voltage_turn) X(innovation) X(power) X(lag_one) X(noise_share) X(inflation)              \
+    X(angle_variance) X(drift_prior) X(theta)                                                  \
     X(rotation) X(variance) X(variance_growth) X(open_loop_time) X(open_loop_length)           \
     X(open_loop_error) X(tracker.angle) X(tracker.speed) X(tracker.acceleration)               \
     X(tracker.settled)
@@ -124,7 +125,8 @@ struct Lanes {
     Factor info;
     V x[FO_NX], current[FO_HISTORY][FO_N], source[FO_N], held_source[FO_N], source_step[FO_N];
     V volt_seconds[FO_N], flux[FO_N], drift[FO_N];
-    V step, length, noise_ratio, noise_ratio_without_ripple, noise_inflation, voltage_turn, innovation, power, lag_one,
+    V step, length, noise_ratio, noise_ratio_without_ripple, noise_inflation, voltage_turn,
+        innovation, power, lag_one,
         noise_share, inflation, angle_variance, drift_prior, theta, rotation, variance,
         variance_growth, open_loop_time, open_loop_length, open_loop_error;
     struct {

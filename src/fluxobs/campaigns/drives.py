@@ -49,11 +49,16 @@ class Cell:
         return self.machine.rated_current
 
     @property
-    def voltage(self) -> float:
-        """Rated EMF [V]."""
+    def flux(self) -> float:
+        """Flux at the rated current [Wb]."""
         flux = self.machine.flux_base(self.current)
         assert flux is not None  # known for every simulated machine
-        return self.rated.speed_e * flux
+        return flux
+
+    @property
+    def voltage(self) -> float:
+        """Rated EMF [V]."""
+        return self.rated.speed_e * self.flux
 
 
 @lru_cache(maxsize=8)

@@ -62,8 +62,7 @@ def start_speed(observer: AdaptiveObserver, cell: Cell) -> float:
     """Return the speed to which an open-loop start must accelerate [rad/s electrical]."""
     drop = observer.resistance_std * cell.current
     voltage_std = float(np.hypot(drop, observer.inverter_std))
-    flux = cell.voltage / cell.rated.speed_e
-    return min(EMF_RATIO * voltage_std / flux, FASTEST_START * cell.rated.speed_e)
+    return min(EMF_RATIO * voltage_std / cell.flux, FASTEST_START * cell.rated.speed_e)
 
 
 def in_loop(candidate: Candidate, cell: Cell) -> Callable[[Drive], Drive]:
@@ -77,7 +76,7 @@ def in_loop(candidate: Candidate, cell: Cell) -> Callable[[Drive], Drive]:
     if candidate.compiled:
         observer: Any = LoopObserver.of(candidate.observer)
     else:
-        psi_f = real("psi_f", cell.machine.flux_base(cell.current))
+        psi_f = real("psi_f", cell.flux)
         observer = AlwaysValid(candidate.observer, psi_f, real("trusted", candidate.trusted))
     return lambda drive: replace(
         drive, observer=observer, sensorless=sensorless, control=usual.control
