@@ -899,7 +899,8 @@ static sample_quality classify(const fo_real x[FO_N], fo_real limit)
 
 /* Processes one sample. `source` is in per-unit volt-seconds, either `complete` or still without
  * the resistive drop. `rows` is the observer with the time of a row: o, or that of two samples if
- * an interval is pending. A sample that `begins` a merged interval has no row and no estimate. */
+ * an interval is pending. A sample that `begins` a merged interval has no row, and no
+ * estimate unless the observer restarts. */
 static void process_sample(const fo_observer *o, const fo_observer *rows, fo_state *s,
                            fo_merged *merged, bool begins, const fo_real source[FO_N],
                            bool complete, const fo_real current[FO_N], fo_estimate *e)
@@ -972,12 +973,13 @@ static void process_sample(const fo_observer *o, const fo_observer *rows, fo_sta
         s->restarts++;
         restart(s);
     }
+    const bool pending = begins && s->have_voltage; /* false: restarted */
     if (merged != NULL) {
-        merged->pending = begins && s->have_voltage;
+        merged->pending = pending;
         merged->volt_seconds[0] = t.v[0];
         merged->volt_seconds[1] = t.v[1];
     }
-    if (begins) {
+    if (pending) {
 #if FO_MAPPED
         s->previous_point = s->map_point;
 #endif

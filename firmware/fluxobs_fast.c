@@ -726,7 +726,7 @@ static void compare_with_guard(const fo_adaptive *a, fo_adaptive_state *s, fo_re
 }
 
 /* Processes a sample while the filter runs. `e` holds the estimate of the plain observer, the
- * filter's guard, if the guard has had a row. */
+ * filter's guard, if `guarded`. */
 static void run_filter(const fo_adaptive *a, fo_adaptive_state *s, const fo_real mean[FO_N],
                        bool measured, bool guarded, fo_adaptive_estimate *e)
 {
@@ -937,8 +937,8 @@ static void correct_source(const fo_adaptive *a, fo_adaptive_state *s, const fo_
     set_map_angle(a, s);
 }
 
-/* The guard's step. While a proven filter runs, the guard has a row in every second sample, which
- * halves its cost. */
+/* The guard's step. While the position is confirmed, the guard has a row in every second sample,
+ * which halves its cost. Returns whether the guard has written its estimate. */
 static bool step_guard(const fo_adaptive *a, fo_adaptive_state *s, const fo_real input[FO_N],
                        bool complete, const fo_real current[FO_N], fo_estimate *e)
 {
@@ -959,13 +959,14 @@ static bool step_guard(const fo_adaptive *a, fo_adaptive_state *s, const fo_real
         fo_step_merged(&a->plain, &a->plain, &s->plain, &s->merged, begins, input, complete,
                        current, e);
     }
-    if (begins) { /* the filter writes the rest */
+    const bool guarded = !s->merged.pending;
+    if (!guarded) { /* the filter writes the rest */
         e->innovation = s->plain.innovation;
         e->theta_e = s->theta;
         e->psi_f = s->length;
         set_reason(e, FO_SEARCHING);
     }
-    return !begins;
+    return guarded;
 }
 
 static void fast_step(const fo_adaptive *a, fo_adaptive_state *s, const fo_real input[FO_N],

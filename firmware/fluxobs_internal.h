@@ -395,8 +395,8 @@ static inline void settle_tracker(const fo_observer *o, fo_tracker *t, fo_real t
 #define fo_scale_to_duration FO_NAME(fo_scale_to_duration)
 void fo_scale_to_duration(const fo_observer *o, fo_real duration, fo_observer *scaled);
 
-/* A step that may merge two intervals: one that `begins` a merged interval has no row and writes no
- * estimate. `rows` is the observer with the time of a row: o, or that of two samples if an interval
+/* A step that may merge two intervals: one that `begins` a merged interval has no row, and writes
+ * no estimate if the interval is then pending. `rows` is the observer with the time of a row: o, or that of two samples if an interval
  * is pending. `input` is a voltage or, if `complete`, volt-seconds. */
 #define fo_step_merged FO_NAME(fo_step_merged)
 void fo_step_merged(const fo_observer *o, const fo_observer *rows, fo_state *s, fo_merged *merged,

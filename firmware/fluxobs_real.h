@@ -70,6 +70,7 @@ typedef double fo_real;
 #define fo_state FO_NAME(fo_state)
 #define fo_estimate FO_NAME(fo_estimate)
 #define fo_gathered FO_NAME(fo_gathered)
+#define fo_merged FO_NAME(fo_merged)
 #define fo_map FO_NAME(fo_map)
 #define fo_mapped FO_NAME(fo_mapped)
 #define fo_init FO_NAME(fo_init)

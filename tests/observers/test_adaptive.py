@@ -503,3 +503,18 @@ def test_why_a_position_is_not_valid():
     assert words[12_000] == "bad sample"
     assert words[0] == "no data"
     assert {"searching", "unconfirmed"} <= set(words[: int(0.3 / H)])
+
+
+@pytest.mark.parametrize("row", [4000, 4001])
+def test_an_absurd_current_restarts_with_an_unknown_angle(row):
+    """In one of two samples in a row the guard has no measurement row."""
+    t = H * np.arange(6000)
+    speed, load = np.interp(t, [0, 0.1], [0, 250]), np.full(len(t), 1j)
+    samples = driven(MACHINE, H, speed, load)
+    observer = AdaptiveObserver.for_machine(MACHINE, sample_time=H)
+    assert observer.run(samples.voltage, samples.current).valid[row]
+    current = samples.current.copy()
+    current[row] = 1e9
+    estimate = observer.run(samples.voltage, current)
+    assert not estimate.valid[row]
+    assert estimate.theta_e_std[row] == pytest.approx(np.pi / np.sqrt(3))
