@@ -11,19 +11,18 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-from common import Array, degrees_error, heading
+from common import heading
 
-from fluxobs import AdaptiveObserver
-from fluxobs.machines import InteriorPMSM, RotatingMachine, example
+from fluxobs.machines import RotatingMachine, example
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
-from support.records import Samples, driven
+from support.at_rest import H, estimate_at_rest, interior
 
-H, RATED_SPEED, TURNING, REST, CREEP = 1e-4, 474.0, 1.0, 3.0, 2.0
+TURNING, REST, CREEP = 1.0, 3.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -42,12 +41,6 @@ class Case:
     i_d: float = 0.0  # mean of i_d as a share of the rated current
 
 
-def interior(ratio: float) -> InteriorPMSM:
-    """Return a 2.2 kW machine with this ratio of L_q to L_d."""
-    L_d = 36e-3
-    return InteriorPMSM(R_s=3.6, L_d=L_d, L_q=ratio * L_d, psi_f=0.545, n_p=3, rated_current=7.0)
-
-
 MILD = Case(interior(1.5))
 CASES = {
     "no injection": replace(MILD, ripple=0.0),
@@ -64,48 +57,20 @@ CASES = {
 }
 
 
-def record(case: Case, seed: int) -> tuple[Array, Samples, Array]:
-    """Return the samples of a case."""
-    rng = np.random.default_rng(seed)
-    rows = round((TURNING + REST + 2 * CREEP) / H)
-    t = H * np.arange(rows)
+def score(case: Case, seed: int) -> tuple[float, ...]:
+    """Return share of valid rows, rms and largest error [°], median std [°], share within 2 std."""
+    t = H * np.arange(round((TURNING + REST + 2 * CREEP) / H))
     speed = np.interp(
         t,
         [0, TURNING, TURNING + 0.2, TURNING + REST, TURNING + REST + 0.2],
         [0.3, 0.3, 0.0, 0.0, 0.01],
     )
     speed[t > TURNING + REST + CREEP] *= -1
-    rated = case.machine.rated_current
-    load = np.where(t % 1.0 > 0.5, 0.7, 0.1)
-    load = np.convolve(np.pad(load, (20, 19), mode="edge"), np.ones(40) / 40, "valid")
-    i_d = case.i_d + case.ripple * (-1.0) ** np.arange(rows)
-    flux = case.machine.flux_base(rated)
-    samples = driven(
-        case.machine,
-        H,
-        RATED_SPEED * speed,
-        rated * (i_d + 1j * load),
-        inverter=case.loss,
-        smoothing=0.03 * rated,
-        voltage_bias=complex(*rng.normal(0, 0.003, 2)) * RATED_SPEED * flux,
-        noise=case.noise * rated,
-        theta0=rng.uniform(-3, 3),
-        seed=seed,
-    )
-    return t, samples, samples.current + rng.normal(0, 0.01 * rated, 2)
-
-
-def score(case: Case, seed: int) -> tuple[float, ...]:
-    """Return share of valid rows, rms and largest error [°], median std [°], share within 2 std."""
-    t, samples, current = record(case, seed)
-    believed = case.machine.with_values(R_s=case.resistance * case.machine.R_s)
-    observer = AdaptiveObserver.for_machine(
-        believed, sample_time=H, unknowns=("drift", "resistance", "inverter")
-    )
-    estimate = observer.run(samples.voltage, current)
+    conditions = {field.name: getattr(case, field.name) for field in fields(case)}
+    error, estimate = estimate_at_rest(speed=speed, seed=seed, **conditions)
     rows = t > TURNING + 0.5
-    error = np.abs(degrees_error(estimate.theta_e, samples.theta))[rows]
-    std, valid = np.degrees(estimate.theta_e_std)[rows], estimate.valid[rows]
+    error, valid = error[rows], estimate.valid[rows]
+    std = np.degrees(estimate.theta_e_std)[rows]
     if not valid.any():
         return 0.0, np.nan, np.nan, np.nan, np.nan
     return (

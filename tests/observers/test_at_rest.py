@@ -3,46 +3,18 @@
 import numpy as np
 import pytest
 
-from fluxobs import AdaptiveObserver
-from fluxobs.machines import InteriorPMSM, example
-from support.records import driven
+from fluxobs.machines import example
+from support.at_rest import H, estimate_at_rest, interior
 
-H, RATED_SPEED, TURNING, END = 1e-4, 474.0, 0.8, 2.6
-
-
-def interior(ratio):
-    return InteriorPMSM(
-        R_s=3.6, L_d=36e-3, L_q=ratio * 36e-3, psi_f=0.545, n_p=3, rated_current=7.0
-    )
+TURNING, END = 0.8, 4.0
 
 
-def run(machine, ripple=0.02, noise=0.002, i_d=0.0, loss=3.0, creep=0.0, period=2):
+def run(machine, creep=0.0, **conditions):
     """Return (errors in degrees, stds, valid) from half a second after the rotor has stopped."""
-    rng = np.random.default_rng(5)
-    rows, rated = round(END / H), machine.rated_current
-    t = H * np.arange(rows)
+    t = H * np.arange(round(END / H))
     speed = np.interp(t, [0, TURNING, TURNING + 0.2], [0.3, 0.3, creep])
-    load = np.where(t % 0.5 > 0.25, 0.7, 0.1)
-    load = np.convolve(np.pad(load, (20, 19), mode="edge"), np.ones(40) / 40, "valid")
-    square = np.where(np.arange(rows) % period < period / 2, 1.0, -1.0)
-    samples = driven(
-        machine,
-        H,
-        RATED_SPEED * speed,
-        rated * (i_d + ripple * square + 1j * load),
-        inverter=loss,
-        smoothing=0.03 * rated,
-        voltage_bias=complex(*rng.normal(0, 0.003, 2)) * RATED_SPEED * machine.flux_base(rated),
-        noise=noise * rated,
-    )
-    observer = AdaptiveObserver.for_machine(
-        machine.with_values(R_s=1.2 * machine.R_s),
-        sample_time=H,
-        unknowns=("drift", "resistance", "inverter"),
-    )
-    estimate = observer.run(samples.voltage, samples.current + rng.normal(0, 0.01 * rated, 2))
+    error, estimate = estimate_at_rest(machine, speed, seed=5, **conditions)
     later = t > TURNING + 0.5
-    error = np.abs(np.degrees(np.angle(np.exp(1j * (estimate.theta_e - samples.theta)))))
     return error[later], np.degrees(estimate.theta_e_std)[later], estimate.valid[later]
 
 

@@ -181,8 +181,8 @@ class AdaptiveEstimate(Estimate):
     valid_reason: Array = field(
         metadata=output(
             "",
-            "Why the position is not valid: 0 valid, 1 no data, 2 searching, 3 settling, 4 slow, "
-            "5 uncertain, 6 contradicted, 7 unconfirmed, 8 outside map, 9 bad sample",
+            "Why the position is not valid: "
+            + ", ".join(f"{number} {word}" for number, word in enumerate(REASONS)),
         )
     )
 

@@ -123,10 +123,10 @@ def estimate(
     quality (marks of faulty rows), valid; with --truth also theta_e_error. Exit code 3: no row is
     valid, or most rows do not fit.
 
-    With --causal, --out writes the outputs of the observer: also theta_e_tracked, and a second
-    angle while two angles are possible. For a maglev-2dof, or with current-bias, --out writes flux,
-    position or theta_e, drift and current_bias with their standard deviations, and noise_share and
-    valid.
+    With --causal, --out writes the outputs of the observer: also theta_e_tracked, a second angle
+    while two angles are possible, and valid_reason, the number of the reason why a position is not
+    valid (docs/outputs.md). For a maglev-2dof, or with current-bias, --out writes flux, position or
+    theta_e, drift and current_bias with their standard deviations, and noise_share and valid.
 
     With many logs, writes a file of estimates per log, and a table with one row per log:
     summary.parquet and summary.csv. The row of a failed log states the reason; the exit code is
