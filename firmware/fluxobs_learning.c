@@ -38,6 +38,9 @@ static const fo_real ROW_MIN = (fo_real)0.1;
 /* A row of the direction is used if this share of the ripple is not noise [1]: noise has a share of
  * 0 +- 1 / sqrt(samples). */
 static const fo_real RIPPLE_MIN = (fo_real)0.5;
+/* Squared ripple of 1 / |x| below which it is rounding [1 / flux bases^2]: |x| is near one, and
+ * single precision has 1e-7 of it. */
+static const fo_real RIPPLE_LEAST = (fo_real)1e-12;
 /* The changes du must alternate from sample to sample: their correlation with the ones before is -1
  * for a ripple at half the sampling rate, -1/2 for noise, near 1 for loads, offsets and unequal gains
  * of the sensors. These make the angle ripple, too: with them, a tenth of 128 drives without
@@ -631,21 +634,23 @@ static void update_by_row(const fo_adaptive *a, fo_learner *s, const block_conte
  * ripples u, too; its share of the squares is no information. */
 typedef struct {
     fo_real row[FO_NA], innovation;
-    fo_real information;  /* 0: the row is not used */
-    fo_real systematic;   /* variance of the row by model errors */
-    fo_real gain;         /* share of the error of the row that it removes */
+    fo_real variance;    /* 0: the row is not used */
+    fo_real systematic;  /* variance of the row by model errors */
+    fo_real gain;        /* share of the error of the row that it removes */
 } direction_row;
 
 static void make_direction_row(const fo_adaptive *a, const fo_learner *s, const fo_block *b,
                                const fo_ripple *p, const fo_block_end *end,
                                const fo_linearisation *point, direction_row *r)
 {
-    const fo_real L_q = a->plain.L_position, ratio = L_q / (L_q + a->saliency);
-    const fo_real noise = a->through_L * ratio * ratio * end->noise_inflation; /* of x across */
+    const fo_real L_q = a->plain.L_position;
+    const fo_real third = (fo_real)(20 * FO_N) * a->plain.over_noise; /* 1 / noise [1/A^2] */
+    const fo_real noise = L_q * L_q / third * end->noise_inflation;   /* of x across */
     const fo_real square = point->length * point->length, of_u = noise / (square * square);
     const fo_real true_square = p->square - TWO * (fo_real)p->samples * of_u;
     (void)memset(r, 0, sizeof *r);
-    if (true_square > RIPPLE_MIN * p->square && -p->lagged > ALTERNATING_MIN * p->square) {
+    if (p->square > RIPPLE_LEAST && true_square > RIPPLE_MIN * p->square &&
+        -p->lagged > ALTERNATING_MIN * p->square) {
         const fo_real share = true_square / p->square;
         for (int i = 0; i < FO_N; i++) {
             const fo_real h = share * p->h[i];
@@ -661,14 +666,13 @@ static void make_direction_row(const fo_adaptive *a, const fo_learner *s, const 
         r->row[FO_NF + FO_INDUCTANCE + 1] =
             -a->std[FO_INDUCTANCE + 1] * point->armature_flux[1] * true_square;
         r->innovation = -p->product;
-        const fo_real variance = noise / square * TWO * (p->square - p->lagged);
-        const fo_real tilt = TILT * point->length * true_square;
-        r->information = ONE / variance;
-        r->systematic = tilt * tilt;
+        const fo_real turn = point->length * true_square; /* the residual of a turn by 1 rad */
+        r->variance = noise / square * TWO * (p->square - p->lagged) + MODEL * MODEL * turn * turn;
+        r->systematic = TILT * TILT * turn * turn;
         fo_real direction[FO_NA];
         (void)memcpy(direction, r->row, sizeof direction);
         const fo_real known = fo_marginal_variance(FO_NA, s->U, s->d, 0, FO_NA, direction);
-        r->gain = known / (known + variance);
+        r->gain = known / (known + r->variance);
     }
 }
 
@@ -705,9 +709,9 @@ static void update_by_block(const fo_adaptive *a, fo_learner *s, const fo_block 
             update_by_row(a, s, &c, r.row[w], r.innovation[w], r.share[w] * blocks, w == 0, change);
         }
     }
-    if (d.information > ZERO) {
+    if (d.variance > ZERO) {
         block_context along = c;
-        along.variance = ONE / d.information;
+        along.variance = d.variance;
         along.systematic = d.systematic;
         update_by_row(a, s, &along, d.row, d.innovation, ONE, false, change);
     }

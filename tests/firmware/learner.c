@@ -31,6 +31,8 @@ int main(void)
     a.volt = next();
     a.over_rated = next();
     a.through_L = next();
+    const fo_real of_current = a.plain.L_position + a.saliency; /* L_d */
+    a.plain.over_noise = of_current * of_current / ((fo_real)(20 * FO_N) * a.through_L);
     a.unmodelled = next();
     a.slow = next();
     a.plain.drift_prior_std = next();

@@ -29,7 +29,7 @@ BLOCK, BLOCK_MOST, MODEL = np.pi / 4, 0.3, 0.002
 INVERTER_UNMODELLED, KNEE_UNMODELLED, DRIFT_MEMORY = 0.05, 0.3, 100.0
 ROWS, CLIP, PROVEN, LEVEL_LEAST = 16.0, 25.0, 8.0, 0.02
 NEW_POINT, ROUND, HEAT_WALK, SIXTH, LEARN_STD = 0.3, 16, 0.1, 0.3, np.pi / 9
-RIPPLE_MIN, ALTERNATING_MIN, TILT = 0.5, 0.75, np.pi / 180
+RIPPLE_MIN, RIPPLE_LEAST, ALTERNATING_MIN, TILT = 0.5, 1e-12, 0.75, np.pi / 180
 #: Order of the parameters, and their number.
 PSI, RESISTANCE, INVERTER, OFFSET, ASYMMETRY, INDUCTANCE, COUNT = 0, 1, 2, 4, 6, 8, 10
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -276,7 +276,8 @@ class LearningTwin:
         square = sum(ripple.change**2 for ripple in b.ripples)
         true = square - 2 * len(b.ripples) * noise / at.length**4
         lagged = sum(ripple.change * ripple.before for ripple in b.ripples)
-        if not (true > RIPPLE_MIN * square and -lagged > ALTERNATING_MIN * square):
+        rippling = square > RIPPLE_LEAST and true > RIPPLE_MIN * square
+        if not (rippling and -lagged > ALTERNATING_MIN * square):
             return None, 0.0
         share = true / square
         h = share * sum((r.change**2 * r.across for r in b.ripples), np.zeros(2))
@@ -287,7 +288,7 @@ class LearningTwin:
         slow[INDUCTANCE + 1] = -a.std[INDUCTANCE + 1] * at.current_flux[1] * true
         fast = np.concatenate([h, th - b.time * h])
         value = -sum(ripple.change * ripple.turned for ripple in b.ripples)
-        variance = noise / at.length**2 * 2 * (square - lagged)
+        variance = noise / at.length**2 * 2 * (square - lagged) + (MODEL * at.length * true) ** 2
         known = float(fast @ self.P @ fast) + self._parameter_variance(slow + fast @ self.S)
         systematic = (TILT * at.length * true) ** 2
         return Row(fast, slow, value, 1 / variance, systematic), known / (known + variance)
