@@ -211,6 +211,33 @@ def test_switching_and_averaged_inverter_agree_over_a_period(current):
     assert complex(mean) == pytest.approx(120 * np.exp(1.1j) - lost - 0.05 * current, abs=1e-6)
 
 
+@pytest.mark.parametrize("share", [0.2, 0.9, 1.5])
+def test_a_loss_larger_than_the_current_stops_it_without_oscillation(share):
+    """Without resistance the current settles where the loss is the commanded voltage, or rises.
+
+    An explicit step overshoots if the loss moves the current by more than the smoothing.
+    """
+    h, L, smoothing, link = 50e-6, 20e-6, 0.4, jnp.asarray(15.0)
+    inverter = Inverter(dead_time=1.5e-6, smoothing=smoothing)
+    lost = 1.5e-6 / h * 15.0
+    assert lost * h / L > 2 * smoothing
+    u = share * lost
+    duties, i = inverter.duties(jnp.asarray(u + 0j), link), jnp.asarray(1.0 + 0j)
+    for _ in range(60):
+        half = h / (2 * L)
+        middle = inverter.middle_current(
+            i, i + half * u, jnp.asarray(half + 0j), jnp.asarray(1j * half), link, jnp.asarray(h)
+        )
+        i = i + h / L * inverter.averaged(duties, link, middle, jnp.asarray(h))
+
+    def rate(_: float, x: np.ndarray) -> np.ndarray:
+        a, b = np.tanh(x[0] / smoothing), np.tanh(-x[0] / 2 / smoothing)
+        return np.array([(u - lost * (2 * a - 2 * b) / 3) / L])
+
+    exact = solve_ivp(rate, (0, 60 * h), [1.0], method="LSODA", rtol=1e-9, atol=1e-12).y[0, -1]
+    assert complex(i) == pytest.approx(exact, rel=2e-3)
+
+
 @pytest.mark.slow
 def test_switching_and_averaged_drive_agree():
     """Pulses are centred in the sample, so sampled currents have no ripple."""

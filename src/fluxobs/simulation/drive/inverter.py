@@ -5,12 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
 from ...errors import ModelError
 from ..precision import not_negative, positive
 from .vectors import from_phases, phases
+
+#: Iterations of the implicit current; the test compares with a fine integration.
+ITERATIONS = 8
 
 
 class Inverter(eqx.Module):
@@ -61,12 +65,49 @@ class Inverter(eqx.Module):
         centre = (jnp.max(share) + jnp.min(share)) / 2
         return jnp.clip(0.5 + share - centre, 0.0, 1.0)
 
+    def ideal(self, duties: Array, dc_link: Array) -> Array:
+        """Return the mean voltage over the period without losses [V]."""
+        return from_phases(duties * dc_link)
+
     def averaged(self, duties: Array, dc_link: Array, current: Array, period: Array) -> Array:
-        """Return the mean voltage over the period [V]."""
+        """Return the mean voltage over the period at the current in its middle [V]."""
         i = phases(current)
+        return from_phases(duties * dc_link - self._resistances(i, dc_link, period) * i)
+
+    def _resistances(self, i: Array, dc_link: Array, period: Array) -> Array:
+        """Return the voltage loss of each phase divided by its current `i` [Ω]."""
         lost = self.dead_time / period * dc_link + self.drop
-        legs = duties * dc_link - lost * jnp.tanh(i / self.smoothing) - self.R_on * i
-        return from_phases(legs)
+        x = i / self.smoothing
+        small = jnp.abs(x) < 1e-3
+        chord = jnp.where(small, 1.0, jnp.tanh(x) / jnp.where(small, 1.0, x))
+        return lost / self.smoothing * chord + self.R_on
+
+    def middle_current(
+        self,
+        current: Array,
+        lossless: Array,
+        by_alpha: Array,
+        by_beta: Array,
+        dc_link: Array,
+        period: Array,
+    ) -> Array:
+        """Return the current in the middle of a period [A] that starts at `current`.
+
+        Without losses it would be `lossless`; a loss of 1 V along α or β changes it by -`by_alpha`
+        or -`by_beta`. The equation is implicit: where the loss moves the current by more than
+        `smoothing` within a period, an explicit step would make the current oscillate. Fixed-point
+        iteration of the phases' resistances; it converges since they fall with the current.
+        """
+        for _ in range(ITERATIONS):
+            r = self._resistances(phases(current), dc_link, period)
+            by_real, by_imag = from_phases(r * phases(1.0 + 0j)), from_phases(r * phases(1j))
+            a = 1.0 + by_alpha * by_real.real + by_beta * by_real.imag
+            b = 1j + by_alpha * by_imag.real + by_beta * by_imag.imag
+            determinant = a.real * b.imag - a.imag * b.real
+            along = (lossless.real * b.imag - lossless.imag * b.real) / determinant
+            across = (a.real * lossless.imag - a.imag * lossless.real) / determinant
+            current = jax.lax.complex(along, across)
+        return current
 
     def switched(
         self, duties: Array, dc_link: Array, current: Array, period: Array, part: Array
