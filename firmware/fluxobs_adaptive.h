@@ -323,6 +323,7 @@ typedef struct {
     fo_real disagreement;                /* turn during which filter and guard differ [rad] */
     fo_real confirmed;                   /* rotation since the position became certain [rad] */
     uint32_t uncertain;                  /* samples in a row without a certain position     */
+    fo_real half_turn;                   /* weight of the angle half a turn away            */
     fo_real length, variance;            /* of the best candidate                           */
     fo_real other_theta, other_weight;   /* second candidate                                */
     fo_learning_report report;           /* the learner's last report                       */

@@ -352,7 +352,9 @@ static void take_correction(const fo_adaptive *a, fo_adaptive_state *s, const fo
     const fo_real kept = ONE - s->report.direction_gain;
     s->emf_ratio *= kept;
     s->voltage_turn *= kept;
-    s->confirmed += s->report.direction_gain;
+    if (!(s->half_turn > ZERO)) { /* as much evidence as a rotation by this gain */
+        s->confirmed += s->report.direction_gain;
+    }
 }
 
 /* Takes a candidate, or starts the filter from it. */
@@ -413,6 +415,7 @@ static bool receive(const fo_adaptive *a, fo_adaptive_state *s)
 static void stop_filter(const fo_adaptive *a, fo_adaptive_state *s, bool wrong)
 {
     s->running = false;
+    s->half_turn = ZERO;
     s->has_candidate = false;
     s->rotation = ZERO;
     s->other_weight = ONE / TWO;
@@ -498,8 +501,8 @@ static void write_filter_estimate(const fo_adaptive *a, const fo_adaptive_state 
     }
 #endif
     e->drift_std = o->drift_prior_std * o->drift_base * s->report.drift_std;
-    e->theta_other = q->theta_e;
-    e->weight_other = ZERO;
+    e->theta_other = s->half_turn > ZERO ? wrap(q->theta_e + PI) : q->theta_e;
+    e->weight_other = s->half_turn;
 }
 
 /* Writes the plain observer's position. The plain observer's std does not include the parameters,
@@ -838,8 +841,12 @@ static void confirm(const fo_adaptive *a, fo_adaptive_state *s, fo_estimate *q)
     } else {
         s->confirmed += fo_abs(s->tracker.speed) * a->plain.sample_time;
     }
-    if (q->valid && !(s->confirmed > SWEEP)) {
+    if (s->confirmed > SWEEP) {
+        s->half_turn = ZERO;
+    } else if (q->valid) {
         set_reason(q, FO_UNCONFIRMED);
+    } else {
+        /* another reason */
     }
 }
 
@@ -879,7 +886,9 @@ static void finish_sample(const fo_adaptive *a, fo_adaptive_state *s, bool compl
         if (!s->plain.have_current && s->running) {
             stop_filter(a, s, false);
         }
-        s->emf_ratio = TWO;
+        if (!s->running) { /* else the filter waits for the first interval after a seed */
+            s->emf_ratio = TWO;
+        }
     }
     s->sample_index++;
     if (!e->adapting || !s->running) { /* otherwise run_filter has written them */

@@ -79,9 +79,10 @@ static bool is_usable(const fo_observer *o, const fo_seed *seed, const seed_poin
 {
     const fo_real square = point->length * point->length, most = (fo_real)1e3; /* flux bases */
     const fo_real all = seed->theta_e + seed->theta_e_std + seed->speed_e + seed->psi_f +
-                        seed->psi_f_std;
+                        seed->psi_f_std + seed->weight_other;
     return all - all == ZERO && seed->theta_e_std > ZERO &&
-           within(seed->theta_e, -TWO * PI, TWO * PI) && square > o->square_min &&
+           within(seed->theta_e, -TWO * PI, TWO * PI) &&
+           within(seed->weight_other, ZERO, ONE / TWO) && square > o->square_min &&
            square < most * most && dot(current, current) <= o->current_limit * o->current_limit;
 }
 
@@ -219,6 +220,7 @@ void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo
         fo_adaptive_restart(a, s, s->learner.frozen);
     }
     s->seeded = seed_plain(&a->plain, &s->plain, seed, current, &point);
+    s->half_turn = s->seeded ? seed->weight_other : ZERO;
     if (s->seeded && point.std < START_STD && !has_map(&a->plain)) {
         start_filter(a, s, &point, current);
     } else if (s->seeded) { /* too uncertain for the filter: the first candidate is here */

@@ -27,7 +27,8 @@ extern "C" {
     NUMBER(speed_e)     /* electrical speed [rad/s]; 0 at rest                                */ \
     NUMBER(psi_f)       /* magnet or active flux; 0: the flux base [Wb]                       */ \
                         /* negative if the position vector points backwards                   */ \
-    NUMBER(psi_f_std)   /* std of psi_f; 0: a quarter of psi_f [Wb]                           */
+    NUMBER(psi_f_std)   /* std of psi_f; 0: a quarter of psi_f [Wb]                           */ \
+    NUMBER(weight_other) /* weight of the angle half a turn away, 0 to 1/2                    */
 
 typedef struct {
     FO_SEED_FIELDS(FO_NUMBER_FIELD)
@@ -36,7 +37,9 @@ typedef struct {
 /* Resets the state, and starts it at this angle and current [A]. The angle is integrated with a
  * growing standard deviation until the least squares determines the flux, which is earlier with a
  * seed than without (benchmarks/seeds.py). `valid` needs the same evidence as without a seed, so
- * that a wrong angle is corrected. An unusable seed only resets the state: a seed that is not
+ * that a wrong angle is corrected: half a turn of the rotor or, in the adaptive observer, rows of
+ * the direction at rest. The latter know no half turn, so with a `weight_other` only the former
+ * counts. An unusable seed only resets the state: a seed that is not
  * finite, has no positive standard deviation, an absurd current, or a flux too short for a
  * position. Do not call this function while an interrupt may step the same state. */
 void fo_seed_state(const fo_observer *observer, fo_state *state, const fo_seed *seed,

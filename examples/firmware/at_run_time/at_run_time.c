@@ -94,7 +94,7 @@ void control_interrupt(const float voltage[2], const float current[2])
 {
     const fo_adaptive *now = fo_adaptive_take(&in_use, &state);
     if (hall_is_read()) { /* once, at rest: a sector of 60 degrees has a std of 0.3 rad */
-        const fo_seed seed = {hall_angle(), 0.3f, 0.0f, 0.0f, 0.0f};
+        const fo_seed seed = {hall_angle(), 0.3f, 0.0f, 0.0f, 0.0f, 0.0f};
         fo_adaptive_seed_state(now, &state, &seed, current);
         return;
     }

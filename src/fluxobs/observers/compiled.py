@@ -81,6 +81,7 @@ class CompiledObserver(Generic[EstimateType]):
         speed_e: float = 0.0,
         psi_f: float = 0.0,
         psi_f_std: float = 0.0,
+        weight_other: float = 0.0,
         state: CompiledState | None = None,
     ) -> CompiledState:
         """Return a state that starts at a known angle: from Hall sensors, an alignment, an encoder.
@@ -103,6 +104,9 @@ class CompiledObserver(Generic[EstimateType]):
             Length of the position vector and its standard deviation [Wb]. The length is negative if
             the vector points backwards. A length of 0 means the flux base; a standard deviation of
             0 means a quarter of the length.
+        weight_other : float
+            Weight of the angle half a turn away, 0 to 0.5, for the adaptive observer: without
+            motion, a rotor's axis is known, but not its polarity.
         state : CompiledState, optional
             For the adaptive observer: a state whose learnt parameters are kept.
 
@@ -121,6 +125,7 @@ class CompiledObserver(Generic[EstimateType]):
                 ("speed_e", speed_e, "rad/s"),
                 ("psi_f", psi_f, "Wb"),
                 ("psi_f_std", psi_f_std, "Wb"),
+                ("weight_other", weight_other, "1"),
             )
         }
         current_now = np.ascontiguousarray(current, dtype=float)
@@ -135,6 +140,8 @@ class CompiledObserver(Generic[EstimateType]):
             raise UsageError(f"theta_e_std must be positive, got {theta_e_std:g} rad")
         if numbers["psi_f_std"] < 0:
             raise UsageError(f"psi_f_std must not be negative, got {psi_f_std:g} Wb")
+        if not 0 <= numbers["weight_other"] <= 0.5:
+            raise UsageError(f"weight_other must be within 0 and 0.5, got {weight_other:g}")
         if state is not None and state.batch:
             raise UsageError(
                 f"state must be that of one record, got a batch of shape {state.batch}"

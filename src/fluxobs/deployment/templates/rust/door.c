@@ -20,7 +20,7 @@ void fluxobs_@prefix@_reset(@fo@_state *state) { @fo@_reset(&@prefix@_observer, 
 
 void fluxobs_@prefix@_seed(@fo@_state *state, const fo_real seed[5], const fo_real current[2])
 {
-    const fo_seed at = {seed[0], seed[1], seed[2], seed[3], seed[4]};
+    const fo_seed at = {seed[0], seed[1], seed[2], seed[3], seed[4], 0};
     @fo@_seed_state(&@prefix@_observer, state, &at, current);
 }
 
