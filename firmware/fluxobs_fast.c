@@ -25,6 +25,10 @@ static const fo_real PROVEN_AFTER = (fo_real)4;
 /* Rows of the filter before its std may stop it [1]: two turns. A start at a std of 20 degrees
  * weighs its first rows little, because the relation is not linear over 20 degrees. */
 static const fo_real LOST_AFTER = (fo_real)16;
+/* EMF over the std of the voltage's error by the parameters, from which a rotation tells the
+ * polarity [1]. At 1 % of the rated speed the rows of the direction turn with the rotor at the wrong
+ * polarity, too (tests/firmware/test_from_rest.py). */
+static const fo_real POLARITY_STDS = (fo_real)4;
 /* Samples in a row without a certain position after which the position must be confirmed again. */
 static const uint32_t UNCERTAIN_AFTER = (uint32_t)FO_MAX_CONSECUTIVE_BAD;
 /* A position is not valid if the power of its innovations exceeds this limit [1]: three stds. */
@@ -566,12 +570,14 @@ static fo_real update_std(const fo_adaptive *a, fo_adaptive_state *s,
     s->block.unmodelled += inverter;
     s->voltage_turn += (other + inverter) / point->length - s->voltage_turn * step;
     const fo_real noise = o->position_noise * s->plain.noise_inflation;
-    const fo_real variance =
-        (flux_variance(a, s) + noise) / square +
-        s->voltage_turn * s->voltage_turn / (fo_real)3; /* the turn is a bound: a uniform error */
     const fo_real change =
         a->std[FO_INDUCTANCE + 1] * (point->armature_flux[1] - r->armature_flux_q);
-    const fo_real all = variance + (r->variance_by_L_q + change * change) / square +
+    /* negative if the rows have correlated the error of L_q with the flux: both turn x less */
+    const fo_real by_L_q = r->variance_by_L_q + change * change;
+    const fo_real variance =
+        (flux_variance(a, s) + noise + (by_L_q < ZERO ? by_L_q : ZERO)) / square +
+        s->voltage_turn * s->voltage_turn / (fo_real)3; /* the turn is a bound: a uniform error */
+    const fo_real all = variance + (by_L_q > ZERO ? by_L_q : ZERO) / square +
                         considered_variance(a, s, square);
     s->std = capped_std(all);
     s->reason = judge_filter(s, variance, all);
@@ -828,6 +834,18 @@ static void run_start(const fo_adaptive *a, fo_adaptive_state *s, const fo_real 
     }
 }
 
+/* Does the EMF tell the polarity: is it far above the error of the voltage by the parameters? */
+static bool is_polarity_visible(const fo_adaptive *a, const fo_adaptive_state *s)
+{
+    const fo_learning_report *r = &s->report;
+    const fo_real speed = s->tracker.speed * a->plain.sample_time / a->plain.h;
+    const fo_real std = POLARITY_STDS * r->voltage_std * s->inverse_length;
+    const fo_real square = dot(s->plain.current[0], s->plain.current[0]);
+    const fo_real more = square > r->voltage_std_square && r->voltage_std_square > ZERO
+                             ? square / r->voltage_std_square : ONE;
+    return speed * speed > std * std * more;
+}
+
 /* A certain position becomes valid after half a turn, because a wrong flux changes the length of the
  * position vector within that rotation. After a jump, or a std above twice its limit, the position
  * must be confirmed again. */
@@ -838,8 +856,10 @@ static void confirm(const fo_adaptive *a, fo_adaptive_state *s, fo_estimate *q)
     s->uncertain = certain ? 0U : s->uncertain + 1U;
     if (s->uncertain > UNCERTAIN_AFTER) {
         s->confirmed = ZERO;
-    } else {
+    } else if (!(s->half_turn > ZERO) || is_polarity_visible(a, s)) {
         s->confirmed += fo_abs(s->tracker.speed) * a->plain.sample_time;
+    } else {
+        /* rows of the direction follow the rotor at either polarity */
     }
     if (s->confirmed > SWEEP) {
         s->half_turn = ZERO;

@@ -301,6 +301,17 @@ static inline void turn(const fo_real v[FO_N], fo_real angle, fo_real turned[FO_
     turned[1] = sine * v0 + cosine * v1;
 }
 
+/* Unit vector in the direction of an angle in [-pi, pi]. */
+static inline void direction_of(fo_real angle, fo_real direction[FO_N])
+{
+    const fo_real axis[FO_N] = {ONE, ZERO};
+    fo_real quarter[FO_N], half[FO_N]; /* half of the angle is within a quarter turn */
+    turn(axis, angle / (fo_real)4, quarter);
+    turn(quarter, angle / (fo_real)4, half);
+    direction[0] = half[0] * half[0] - half[1] * half[1];
+    direction[1] = TWO * half[0] * half[1];
+}
+
 /* 24 times the mean current of the last interval, from the cubic through four samples. The newest
  * sample is first. */
 static inline fo_real mean_current_24(fo_real i0, fo_real i1, fo_real i2, fo_real i3)

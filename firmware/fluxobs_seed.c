@@ -41,13 +41,7 @@ static void per_unit(const fo_observer *o, const fo_seed *seed, seed_point *poin
     point->length = fo_abs(length) > ZERO ? length : ONE;
     const fo_real share = seed->psi_f_std / o->flux_base;
     point->length_std = share > ZERO ? share : LENGTH_SHARE * fo_abs(point->length);
-    /* cosine and sine of the angle by the half angle, which is within a quarter turn */
-    const fo_real axis[FO_N] = {ONE, ZERO};
-    fo_real quarter[FO_N], half[FO_N];
-    turn(axis, point->theta / (fo_real)4, quarter);
-    turn(quarter, point->theta / (fo_real)4, half);
-    point->direction[0] = half[0] * half[0] - half[1] * half[1];
-    point->direction[1] = TWO * half[0] * half[1];
+    direction_of(point->theta, point->direction);
 }
 
 /* The observer's angle is that of the position vector. A negative length turns the vector by half a

@@ -29,12 +29,12 @@ ADAPTIVE_SOURCES = (
     "fluxobs_fast.c",
 )
 #: Sources for use at run time: configuration, seeds, changed parameters, snapshots over a power
-#: cycle.
+#: cycle, injection at rest.
 RUNTIME_SOURCES = (
     "fluxobs_observers.h",
     *(
         f"fluxobs_{name}.{kind}"
-        for name in ("config", "seed", "retune", "keep")
+        for name in ("config", "seed", "retune", "keep", "inject")
         for kind in ("h", "c")
     ),
     "fluxobs.hpp",
