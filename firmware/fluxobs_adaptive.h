@@ -168,6 +168,7 @@ typedef struct {
     fo_real product;                      /* du r                                              */
     fo_real square, lagged;               /* du du; du and that of the sample before           */
     fo_real h[FO_N], th[FO_N];            /* du du times the unit vector across x; times t     */
+    fo_real signs[2];                     /* du u times the phase currents' signs across x     */
 } fo_ripple;
 
 /* Sums over the samples of a block with a measured current. h is the gradient of the residual
@@ -239,6 +240,7 @@ typedef struct {
     fo_real rows;                         /* measurement rows since the start                  */
     fo_real direction_gain;               /* share of the flux error that the last row of the
                                            * direction removed                                 */
+    fo_real tilt;                         /* variance of the axis that this row tells [rad^2]  */
 } fo_learning_report;
 
 typedef enum {

@@ -578,7 +578,7 @@ static fo_real update_std(const fo_adaptive *a, fo_adaptive_state *s,
         (flux_variance(a, s) + noise + (by_L_q < ZERO ? by_L_q : ZERO)) / square +
         s->voltage_turn * s->voltage_turn / (fo_real)3; /* the turn is a bound: a uniform error */
     const fo_real all = variance + (by_L_q > ZERO ? by_L_q : ZERO) / square +
-                        considered_variance(a, s, square);
+                        considered_variance(a, s, square) + r->tilt;
     s->std = capped_std(all);
     s->reason = judge_filter(s, variance, all);
     return variance;
@@ -661,6 +661,10 @@ static void add_ripple(const fo_adaptive *a, fo_adaptive_state *s, bool measured
         p->h[1] += square * point->direction[0];
         p->th[0] -= t * point->direction[1];
         p->th[1] += t * point->direction[0];
+        for (int n = 0; n < 2; n++) {
+            p->signs[n] += change * u * (point->direction[0] * s->signs[n][1] -
+                                         point->direction[1] * s->signs[n][0]);
+        }
     }
     s->ripple_samples = measured ? s->ripple_samples + 1U : 0U;
     s->ripple = change;

@@ -639,7 +639,7 @@ typedef struct {
     fo_real gain;        /* share of the error of the row that it removes */
 } direction_row;
 
-static void make_direction_row(const fo_adaptive *a, const fo_learner *s, const fo_block *b,
+static void make_direction_row(const fo_adaptive *a, fo_learner *s, const fo_block *b,
                                const fo_ripple *p, const fo_block_end *end,
                                const fo_linearisation *point, direction_row *r)
 {
@@ -649,6 +649,7 @@ static void make_direction_row(const fo_adaptive *a, const fo_learner *s, const 
     const fo_real square = point->length * point->length, of_u = noise / (square * square);
     const fo_real true_square = p->square - TWO * (fo_real)p->samples * of_u;
     (void)memset(r, 0, sizeof *r);
+    s->report.tilt = ZERO;
     if (p->square > RIPPLE_LEAST && true_square > RIPPLE_MIN * p->square &&
         -p->lagged > ALTERNATING_MIN * p->square) {
         const fo_real share = true_square / p->square;
@@ -663,12 +664,19 @@ static void make_direction_row(const fo_adaptive *a, const fo_learner *s, const 
             r->row[FO_NF + n] += a->std[n] * (share / b->time * dot(p->th, b->sensitivity[j]) -
                                               dot(r->row, b->sensitivity[j]));
         }
+        for (int n = 0; n < 2; n++) { /* where phase currents ripple through zero, so does the loss */
+            const int j = FO_INVERTER + n;
+            r->row[FO_NF + j] -= a->std[j] * a->volt * p->signs[n];
+        }
         r->row[FO_NF + FO_INDUCTANCE + 1] =
             -a->std[FO_INDUCTANCE + 1] * point->armature_flux[1] * true_square;
         r->innovation = -p->product;
         const fo_real turn = point->length * true_square; /* the residual of a turn by 1 rad */
         r->variance = noise / square * TWO * (p->square - p->lagged) + MODEL * MODEL * turn * turn;
-        r->systematic = TILT * TILT * turn * turn;
+        /* the phase currents' signs may be anything between the two soft ones */
+        const fo_real knee = s->report.loss_size * a->plain.h * (p->signs[0] - p->signs[1]);
+        r->systematic = TILT * TILT * turn * turn + knee * knee;
+        s->report.tilt = r->systematic / (turn * turn);
         fo_real direction[FO_NA];
         (void)memcpy(direction, r->row, sizeof direction);
         const fo_real known = fo_marginal_variance(FO_NA, s->U, s->d, 0, FO_NA, direction);
