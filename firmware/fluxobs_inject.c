@@ -23,10 +23,13 @@ static const uint32_t DIRECTION_SAMPLES = 4U, DIRECTIONS = 6U;
 static const fo_real BIAS_REACHED = (fo_real)0.9;
 /* Measured samples of half a test, samples after which it measures in any case, and tests after
  * which the polarity stays open. */
-static const uint32_t TEST_SAMPLES = 48U, TEST_DELAY = 400U, TESTS = 4U;
+static const uint32_t TEST_SAMPLES = 32U, TEST_DELAY = 400U, TESTS = 4U;
 /* Stds of the difference of two responses above which the polarity is decided [1]: wrong once in
  * 30 000 starts. */
 static const fo_real DECIDED = (fo_real)4;
+/* Least difference, as a share of the response [1]: dead time and a current that still settles make
+ * up to 1 % (tests/firmware/test_from_rest.py, without saturation). */
+static const fo_real DIFFERENCE_MIN = (fo_real)0.02;
 /* Shares by which the amplitude of the ripple rises and falls in a sample [1]. */
 static const fo_real RISE = (fo_real)0.02, FALL = (fo_real)0.002;
 /* Smallest amplitude as a share of the largest [1], so that the row of the direction does not
@@ -38,14 +41,16 @@ static const uint32_t LOST_AFTER_SAMPLES = 200U;
 bool fo_injector_init(fo_injector *p, const fo_injector_config *c)
 {
     (void)memset(p, 0, sizeof *p);
-    const fo_real all = c->sample_time + c->L_d + c->L_q + c->psi_f + c->current + c->bias +
+    const fo_real all = c->sample_time + c->L_d + c->L_q + c->psi_f + c->current + c->voltage + c->bias +
                         c->current_noise + c->std + c->speed;
     bool usable = all - all == ZERO && c->sample_time > ZERO && c->L_d > ZERO && c->L_q > ZERO &&
-                  c->psi_f >= ZERO && c->current > ZERO && c->bias >= ZERO &&
-                  c->current_noise > ZERO && c->std > ZERO && c->speed >= ZERO;
+                  c->psi_f >= ZERO && c->current > ZERO && c->voltage > ZERO &&
+                  c->bias >= ZERO && c->current_noise > ZERO && c->std > ZERO && c->speed >= ZERO;
     if (usable) {
         p->config = *c;
         p->volts = TWO * c->L_d / c->sample_time;
+        p->most = c->voltage / p->volts;
+        p->most = c->current < p->most ? c->current : p->most;
         p->saliency = ONE - c->L_q / c->L_d;
         /* a sum with alternating signs adds the four-fold amplitude of a second difference's noise */
         p->noise_square = (fo_real)16 * c->current_noise * c->current_noise;
@@ -97,7 +102,7 @@ static void start_observer(const fo_injector *p, fo_injector_state *s, fo_real w
     seed->psi_f = p->config.psi_f + (p->config.L_d - p->config.L_q) * i_d;
     seed->weight_other = weight_other;
     injection->start = true;
-    s->amplitude = p->config.current;
+    s->amplitude = p->most;
     s->lost = 0U;
     next_phase(s, FO_INJECT_RUN);
 }
@@ -137,18 +142,22 @@ static void search_axis(const fo_injector *p, fo_injector_state *s, const second
     }
 }
 
-/* Decides the polarity, or tests it again. */
+/* Decides the polarity, or tests it again in the other order: what changes steadily, such as the
+ * angle of a rotor that turns, cancels in two tests. */
 static void decide_polarity(const fo_injector *p, fo_injector_state *s, fo_injection *injection)
 {
     const fo_real *r = s->response, *e = s->excitation;
     const fo_real apart = r[0] / e[0] - r[1] / e[1]; /* inverse inductances: saturation is ahead */
     const fo_real variance = p->noise_square * (ONE / e[0] + ONE / e[1]);
-    const bool decided = apart * apart > DECIDED * DECIDED * variance;
+    const fo_real least = DIFFERENCE_MIN * (r[0] / e[0] + r[1] / e[1]) / TWO;
+    const bool decided = apart * apart > DECIDED * DECIDED * variance + least * least;
     s->rounds++;
-    if (decided && apart < ZERO) {
-        flip(s);
-    }
-    if (decided || s->rounds >= TESTS) {
+    if (s->rounds % 2U != 0U) {
+        next_phase(s, FO_INJECT_MINUS);
+    } else if (decided || s->rounds >= TESTS) {
+        if (decided && apart < ZERO) {
+            flip(s);
+        }
         start_observer(p, s, decided ? ZERO : ONE / TWO, injection);
     } else {
         next_phase(s, FO_INJECT_PLUS);
@@ -175,8 +184,8 @@ static void test_polarity(const fo_injector *p, fo_injector_state *s, const seco
     } else if (!(bias > ZERO)) {
         start_observer(p, s, ONE / TWO, injection);
     } else if (s->samples >= TEST_SAMPLES) {
-        if (n == 0) {
-            next_phase(s, FO_INJECT_MINUS);
+        if (n == (int)(s->rounds % 2U)) { /* the first half of the test */
+            next_phase(s, n == 0 ? FO_INJECT_MINUS : FO_INJECT_PLUS);
         } else {
             decide_polarity(p, s, injection);
         }
@@ -189,7 +198,7 @@ static void test_polarity(const fo_injector *p, fo_injector_state *s, const seco
  * stopped: at the last half turn or, if that was a guess, at the other one. */
 static void adjust(const fo_injector *p, fo_injector_state *s, const fo_adaptive_estimate *e)
 {
-    const fo_real speed = fo_abs(e->position.speed_e), most = p->config.current;
+    const fo_real speed = fo_abs(e->position.speed_e), most = p->most;
     const bool lost = !e->adapting && !e->position.valid && s->count > 1U;
     s->lost = lost ? s->lost + 1U : 0U;
     if (e->adapting) {
@@ -219,7 +228,7 @@ static void adjust(const fo_injector *p, fo_injector_state *s, const fo_adaptive
 static void write_output(const fo_injector *p, fo_injector_state *s,
                          const fo_adaptive_estimate *e, fo_injection *injection)
 {
-    fo_real along[FO_N], bias = ZERO, amplitude = p->config.current;
+    fo_real along[FO_N], bias = ZERO, amplitude = p->most;
     if (s->phase == FO_INJECT_AXIS) {
         const uint32_t n = s->count / DIRECTION_SAMPLES % DIRECTIONS;
         direction_of((fo_real)n * PI / (fo_real)6, along);

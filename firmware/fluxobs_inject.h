@@ -42,6 +42,8 @@ extern "C" {
     NUMBER(L_q)                                                                                    \
     NUMBER(psi_f)         /* magnet flux; 0: a reluctance machine, which has no polarity [Wb]   */ \
     NUMBER(current)       /* largest amplitude of the ripple along d [A]                        */ \
+    NUMBER(voltage)       /* largest amplitude of the injected voltage: what the controller     */ \
+                          /* leaves of the DC link [V]                                          */ \
     NUMBER(bias)          /* current along d: for the test of polarity (0: no test), or the     */ \
                           /* magnetizing current of a reluctance machine [A]                    */ \
     NUMBER(current_noise) /* std of the noise of a current component [A]                        */ \
@@ -55,6 +57,7 @@ typedef struct {
 typedef struct {
     fo_injector_config config;
     fo_real volts;        /* amplitude of the voltage per amplitude of the current [V/A] */
+    fo_real most;         /* largest amplitude of the current [A]                        */
     fo_real saliency;     /* 1 - L_q / L_d                                               */
     fo_real axis_weight;  /* squared volt-seconds that tell the axis [V^2 s^2]           */
     fo_real noise_square; /* variance of a demodulated second difference [A^2]           */

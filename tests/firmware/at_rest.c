@@ -24,7 +24,7 @@ static struct drive {
     double offset_alpha, offset_beta, noise, bits;   /* [A], [A], [A], of +-5 rated currents      */
     double theta, seed, hold, duration, speed;       /* speed: share of the rated speed           */
     double given_L_d, given_L_q;                     /* inductances that the injector assumes     */
-    double current, bias, std, inject;               /* inject 0: no injection                    */
+    double current, voltage, bias, std, inject;               /* inject 0: no injection                    */
     double trace;                                    /* samples between two lines on stderr       */
 } p;
 
@@ -37,7 +37,7 @@ static const struct {
     NAME(load), NAME(passive), NAME(link), NAME(dead_time), NAME(drop), NAME(sample_time),
     NAME(rated_current), NAME(rated_speed), NAME(offset_alpha), NAME(offset_beta), NAME(noise),
     NAME(bits), NAME(theta), NAME(seed), NAME(hold), NAME(duration), NAME(speed),
-    NAME(given_L_d), NAME(given_L_q), NAME(current), NAME(bias), NAME(std), NAME(inject),
+    NAME(given_L_d), NAME(given_L_q), NAME(current), NAME(voltage), NAME(bias), NAME(std), NAME(inject),
     NAME(trace),
 };
 
@@ -68,6 +68,8 @@ static void currents(const motor *m, double i[2])
 static bool braked = true;
 /* Time in which the torque builds up against the brake [s]. */
 static const double BUILD_UP = 0.05;
+/* Time after which a rotation backwards is no longer part of the start [s]. */
+static const double START = 0.5;
 
 static void advance(motor *m, const double leg[3], double time)
 {
@@ -186,7 +188,7 @@ int main(void)
     random_state = (unsigned long long)p.seed * 7919ULL + 12345ULL;
     const fo_injector_config config = {
         (fo_real)p.sample_time, (fo_real)p.given_L_d, (fo_real)p.given_L_q, (fo_real)p.psi,
-        (fo_real)p.current, (fo_real)p.bias, (fo_real)p.noise, (fo_real)p.std,
+        (fo_real)p.current, (fo_real)p.voltage, (fo_real)p.bias, (fo_real)p.noise, (fo_real)p.std,
         (fo_real)(0.1 * p.rated_speed)};
     static fo_injector injector;
     static fo_injector_state injecting;
@@ -198,8 +200,10 @@ int main(void)
     fo_injector_reset(&injecting);
     fo_adaptive_reset(&motor_observer, &state);
     motor m = {{p.psi * cos(p.theta), p.psi * sin(p.theta)}, p.theta, 0};
-    const double h = p.sample_time, bandwidth = 6.283 * 150, pull = 6.283 * 3;
-    const double k_torque = 1.5 * p.pole_pairs * p.psi;
+    const double h = p.sample_time, bandwidth = 6.283 * 150, pull = 6.283 * 5;
+    const bool magnets = p.psi > 0;
+    const double active = magnets ? p.psi : (p.L_d - p.L_q) * p.bias;
+    const double k_torque = 1.5 * p.pole_pairs * active;
     fo_real acted[2] = {0, 0};
     double command[2] = {0, 0}, integral[2] = {0, 0}, speed_integral = 0, back = 0, most_back = 0;
     double ready_at = -1, seed_error = 0, open = 0, first_valid = -1, starts = 0, amplitude = 0;
@@ -222,12 +226,13 @@ int main(void)
         if (ready_at < 0 && injection.ready) {
             ready_at = (double)k * h;
         }
-        const double error = wrapped((double)e.position.theta_e - m.theta) * 57.29578;
+        const double apart = (double)e.position.theta_e - m.theta;
+        const double error = (magnets ? wrapped(apart) : wrapped(2 * apart) / 2) * 57.29578;
         if (injection.start) {
             fo_adaptive_seed_state(&motor_observer, &state, &injection.seed, current);
             starts++;
-            const double x = p.psi > 0 ? 0 : (double)injection.seed.psi_f < 0 ? 1 : 0;
-            seed_error = wrapped((double)injection.seed.theta_e - m.theta + 0 * x) * 57.29578;
+            const double from = (double)injection.seed.theta_e - m.theta;
+            seed_error = (magnets ? wrapped(from) : wrapped(2 * from) / 2) * 57.29578;
             open = (double)injection.seed.weight_other;
         }
         if (e.position.valid) {
@@ -268,7 +273,7 @@ int main(void)
         if (torque_at < 0 && injection.ready && fabs(torque_current) > 0.9 * p.load / k_torque) {
             torque_at = t;
         }
-        if (t < p.hold) {
+        if (since < START) {
             back += m.speed * h;
             most_back = fmin(most_back, back);
         }
