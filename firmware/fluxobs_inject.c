@@ -126,9 +126,9 @@ static void search_axis(const fo_injector *p, fo_injector_state *s, const second
     s->weight += dot(w, w);
     const fo_real amplitude = fo_abs(p->saliency) * s->weight / TWO;
     const bool whole = s->count % (DIRECTION_SAMPLES * DIRECTIONS) == 0U;
-    /* A machine whose answer is below half of the expected one has no such saliency. */
+    /* Below a third of the expected answer there is no saliency: noise has a fifteenth. */
     if (whole && s->weight > p->axis_weight &&
-        s->cosine * s->cosine + s->sine * s->sine > amplitude * amplitude / (fo_real)4) {
+        s->cosine * s->cosine + s->sine * s->sine > amplitude * amplitude / (fo_real)8) {
         const fo_real sign = p->saliency > ZERO ? ONE : -ONE;
         s->theta = fo_atan2(sign * s->sine, sign * s->cosine) / TWO;
         direction_of(s->theta, s->axis);

@@ -1,4 +1,4 @@
-"""Drives that start from rest with injection: a C program with motor, inverter, control, observer."""
+"""Drives that start from rest with injection, in C: motor, inverter, control, observer."""
 
 from __future__ import annotations
 
