@@ -82,6 +82,10 @@ int main(void)
                 s.block.sensitivity[j][i] += effect[n][i] / a.std[n];
             }
             s.plain.current[0][i] = next();
+            for (int n = 0; n < 2; n++) {
+                const int j = (int)FO_INVERTER + n;
+                s.signs[n][i] = -effect[j][i] / (a.std[j] * a.volt);
+            }
         }
         s.plain.noise_inflation = next();
         const double knee = next();

@@ -80,6 +80,7 @@ class Ripple:
     turned: float  # rotation
     across: Array  # unit vector across x
     time: float  # since the start of the block
+    loss: Array  # turn by one standard deviation of both parts of the inverter's loss
 
 
 @dataclass
@@ -157,19 +158,20 @@ class LearningTwin:
         self._accumulate(point)
         theta = float(np.arctan2(point.x[1], point.x[0]))
         turned = float(wrap(theta - self.theta))
-        self._accumulate_ripple(point, turned)
+        self._accumulate_ripple(point, turned, effect[INVERTER : INVERTER + 2])
         b.turned += turned
         self.theta = theta
         if abs(b.turned) >= BLOCK or b.time >= BLOCK_MOST:
             self._finish_block(current, roughness)
         return self.f.copy(), self.p.copy()
 
-    def _accumulate_ripple(self, at: Linearisation, turned: float) -> None:
+    def _accumulate_ripple(self, at: Linearisation, turned: float, loss: Array) -> None:
         u = 1 / at.length
         change = u - self.inverse_length
         if self.a.saliency and self.angles > 1:
+            across = J @ at.d
             self.block.ripples.append(
-                Ripple(change, self.change, turned, J @ at.d, self.block.time)
+                Ripple(change, self.change, turned, across, self.block.time, u * (loss @ across))
             )
         self.angles += 1
         self.inverse_length, self.change = u, change
@@ -286,11 +288,14 @@ class LearningTwin:
         slow[PSI] = 0.0
         slow[OFFSET : OFFSET + 2] += a.L * a.std[OFFSET : OFFSET + 2] * h
         slow[INDUCTANCE + 1] = -a.std[INDUCTANCE + 1] * at.current_flux[1] * true
+        loss = sum((r.change * r.loss for r in b.ripples), np.zeros(2))
+        slow[INVERTER : INVERTER + 2] += loss
         fast = np.concatenate([h, th - b.time * h])
         value = -sum(ripple.change * ripple.turned for ripple in b.ripples)
         variance = noise / at.length**2 * 2 * (square - lagged) + (MODEL * at.length * true) ** 2
         known = float(fast @ self.P @ fast) + self._parameter_variance(slow + fast @ self.S)
-        systematic = (TILT * at.length * true) ** 2
+        apart = loss / a.std[INVERTER : INVERTER + 2] * self.loss_size
+        systematic = (TILT * at.length * true) ** 2 + (apart[0] - apart[1]) ** 2
         return Row(fast, slow, value, 1 / variance, systematic), known / (known + variance)
 
     def _update_variances(self, at: Linearisation, b: Block) -> None:

@@ -54,14 +54,15 @@ static fo_real std_after(const fo_seed *seed)
 int main(void)
 {
     const fo_real bad[] = {(fo_real)NAN, (fo_real)INFINITY, (fo_real)-INFINITY, (fo_real)1e30};
-    const fo_seed good = {(fo_real)0.7, (fo_real)0.1, (fo_real)0, (fo_real)0, (fo_real)0};
+    const fo_seed good = {(fo_real)0.7, (fo_real)0.1, (fo_real)0, (fo_real)0, (fo_real)0,
+                          (fo_real)0};
     const fo_real still[2] = {0, 0};
     int failures = !follows(&good, still);
     for (int n = 0; n < 4; n++) {
-        for (int field = 0; field < 5; field++) {
+        for (int field = 0; field < 6; field++) {
             fo_seed seed = good;
-            fo_real *const fields[5] = {&seed.theta_e, &seed.theta_e_std, &seed.speed_e, &seed.psi_f,
-                                        &seed.psi_f_std};
+            fo_real *const fields[6] = {&seed.theta_e, &seed.theta_e_std, &seed.speed_e, &seed.psi_f,
+                                        &seed.psi_f_std, &seed.weight_other};
             *fields[field] = bad[n];
             if (!follows(&seed, still)) {
                 printf("field %d with %g\n", field, (double)bad[n]);
