@@ -30,6 +30,10 @@ static const fo_real DECIDED = (fo_real)4;
 /* Least difference, as a share of the response [1]: dead time and a current that still settles make
  * up to 1 % (tests/firmware/test_from_rest.py, without saturation). */
 static const fo_real DIFFERENCE_MIN = (fo_real)0.02;
+/* Sine times cosine of the angle by which the axis may have moved during the tests [1]: 12 degrees.
+ * Then the axis is searched again. A rotor that turns answers along the old axis as if it were
+ * saturated. */
+static const fo_real MOVED = (fo_real)0.2;
 /* Shares by which the amplitude of the ripple rises and falls in a sample [1]. */
 static const fo_real RISE = (fo_real)0.02, FALL = (fo_real)0.002;
 /* Smallest amplitude as a share of the largest [1], so that the row of the direction does not
@@ -91,6 +95,14 @@ static void next_phase(fo_injector_state *s, fo_inject_phase phase)
     s->samples = 0U;
 }
 
+static void search_again(fo_injector_state *s)
+{
+    s->cosine = ZERO;
+    s->sine = ZERO;
+    s->weight = ZERO;
+    next_phase(s, FO_INJECT_AXIS);
+}
+
 /* The observer starts at the axis, with `weight_other` at half a turn from it. */
 static void start_observer(const fo_injector *p, fo_injector_state *s, fo_real weight_other,
                            fo_injection *injection)
@@ -137,6 +149,7 @@ static void search_axis(const fo_injector *p, fo_injector_state *s, const second
         }
         (void)memset(s->response, 0, sizeof s->response);
         (void)memset(s->excitation, 0, sizeof s->excitation);
+        s->across = ZERO;
         s->rounds = 0U;
         next_phase(s, FO_INJECT_PLUS);
     }
@@ -151,8 +164,11 @@ static void decide_polarity(const fo_injector *p, fo_injector_state *s, fo_injec
     const fo_real variance = p->noise_square * (ONE / e[0] + ONE / e[1]);
     const fo_real least = DIFFERENCE_MIN * (r[0] / e[0] + r[1] / e[1]) / TWO;
     const bool decided = apart * apart > DECIDED * DECIDED * variance + least * least;
+    const fo_real across = s->across / (e[0] + e[1]); /* a share of 1 / L_d - 1 / L_q */
     s->rounds++;
-    if (s->rounds % 2U != 0U) {
+    if (fo_abs(across) * p->config.L_q > MOVED * fo_abs(p->saliency)) {
+        search_again(s);
+    } else if (s->rounds % 2U != 0U) {
         next_phase(s, FO_INJECT_MINUS);
     } else if (decided || s->rounds >= TESTS) {
         if (decided && apart < ZERO) {
@@ -168,24 +184,27 @@ static void decide_polarity(const fo_injector *p, fo_injector_state *s, fo_injec
 static void test_polarity(const fo_injector *p, fo_injector_state *s, const second_difference *d,
                           fo_injection *injection)
 {
-    const int n = s->phase == FO_INJECT_PLUS ? 0 : 1;
-    const fo_real sign = n == 0 ? ONE : -ONE, bias = p->config.bias;
+    const bool plus = s->phase == FO_INJECT_PLUS, first = (s->rounds % 2U != 0U) != plus;
+    const int n = (int)s->phase - (int)FO_INJECT_PLUS;
+    const fo_real sign = plus ? ONE : -ONE, bias = p->config.bias;
     const bool reached = sign * dot(s->axis, injection->current) > BIAS_REACHED * bias;
     const fo_real excitation = dot(d->volt_seconds, s->axis);
     if (reached || s->samples > 0U || s->count > TEST_DELAY) {
         s->samples++;
         s->response[n] += dot(d->current, s->axis) * excitation;
         s->excitation[n] += excitation * excitation;
+        s->across +=
+            (s->axis[0] * d->current[1] - s->axis[1] * d->current[0]) * excitation;
     }
     if (!(p->config.psi_f > ZERO)) { /* the current magnetizes, and both half turns are the same */
         if (s->samples > 0U) {
             start_observer(p, s, ZERO, injection);
         }
-    } else if (!(bias > ZERO)) {
+    } else if (!(bias > ZERO) || s->moving) { /* no test, or none that motion leaves true */
         start_observer(p, s, ONE / TWO, injection);
     } else if (s->samples >= TEST_SAMPLES) {
-        if (n == (int)(s->rounds % 2U)) { /* the first half of the test */
-            next_phase(s, n == 0 ? FO_INJECT_MINUS : FO_INJECT_PLUS);
+        if (first) {
+            next_phase(s, plus ? FO_INJECT_MINUS : FO_INJECT_PLUS);
         } else {
             decide_polarity(p, s, injection);
         }
@@ -209,11 +228,9 @@ static void adjust(const fo_injector *p, fo_injector_state *s, const fo_adaptive
         s->ready = e->position.valid;
     }
     if (s->lost > LOST_AFTER_SAMPLES) {
+        s->moving = true;
         direction_of(s->guessed ? wrap(s->theta + PI) : s->theta, s->last);
-        s->cosine = ZERO;
-        s->sine = ZERO;
-        s->weight = ZERO;
-        next_phase(s, FO_INJECT_AXIS);
+        search_again(s);
     } else if (!(speed < p->config.speed) && !lost) {
         s->amplitude = ZERO;
     } else {

@@ -78,11 +78,13 @@ typedef struct {
     uint32_t rounds;                    /* tests of polarity                              */
     uint32_t lost;                      /* samples in a row without the observer's filter */
     bool guessed;                       /* the polarity is open                           */
+    bool moving;                        /* the observer has been lost: no rest is known   */
     bool ready;                         /* the observer's angle has become certain        */
     bool positive;                      /* sign of the voltage                            */
     fo_real amplitude;                  /* of the ripple [A]                              */
     fo_real cosine, sine, weight;       /* sums of the search                             */
-    fo_real response[2], excitation[2]; /* sums of the tests                              */
+    fo_real response[2], excitation[2]; /* sums of the tests, along the axis              */
+    fo_real across;                     /* and of the response across it                  */
     fo_real theta, axis[FO_N];          /* the axis                                       */
     fo_real last[FO_N];                 /* expected direction of the next axis            */
     fo_real difference[FO_N];           /* of the last two currents                       */
@@ -103,6 +105,8 @@ typedef struct {
  * differ by 2 % or more. A machine without saliency cannot be started in this way. */
 bool fo_injector_init(fo_injector *injector, const fo_injector_config *config);
 
+/* Call this while the rotor rests. The polarity is tested only in the first search after it; after a
+ * loss the observer starts with an open half turn. */
 void fo_injector_reset(fo_injector_state *state);
 
 /* Call after the observer's step. `voltage` acted from the last sample to this one. */

@@ -30,6 +30,10 @@ static const fo_real INFORMATION_MIN = (fo_real)1e-6;
 static const fo_real LEARN_STD = PI / (fo_real)9;
 /* Least rotation of a block with a row [rad]. */
 static const fo_real TURNED_MIN = (fo_real)1e-6;
+/* Speed below which all speeds are the same operating point [rad per memory]. At rest the noise of
+ * the speed made a new one of every row: psi_f, which no row tells there, rose by half in 20 s
+ * (benchmarks/from_rest.py). */
+static const fo_real SPEED_MIN = (fo_real)1;
 /* Rows of a round, in which each parameter is forgotten and its prior re-injected once [1]. */
 static const uint32_t FORGETTING_ROUND = 16U;
 /* A row of a block is used if its weight varies within the block by more than this share [1]: the
@@ -46,9 +50,11 @@ static const fo_real RIPPLE_LEAST = (fo_real)1e-12;
  * of the sensors. These make the angle ripple, too: with them, a tenth of 128 drives without
  * injection had a row that was sure and wrong [1]. */
 static const fo_real ALTERNATING_MIN = (fo_real)0.75;
-/* Std of a direction due to model errors [rad]: one degree, as by a tilt of the axis by
- * cross-saturation or by the inverter's loss of the rippling current. */
-static const fo_real TILT = PI / (fo_real)180;
+/* Std of a direction due to a tilt of the axis by cross-saturation, eddy currents or the part of the
+ * inverter's loss that no column describes [rad]: 0.3 degrees. It is part of the position's std;
+ * without it, two stds hold on 96 % of the rows of a saturated reluctance machine at rest
+ * (benchmarks/at_rest.py), and with a degree the std of a linear one is ten times its error. */
+static const fo_real TILT = PI / (fo_real)600;
 /* Share of the squared parameter-to-EMF ratio that a start adds to the variances of flux and drift
  * [1]. */
 static const fo_real START_SHARE_OF_EMF_RATIO = (fo_real)0.3;
@@ -368,8 +374,8 @@ static fo_real count_rows_at_point(const fo_adaptive *a, fo_learner *s,
 {
     const fo_real now[3] = {dot(point->direction, point->current),
                             component_across(point->direction, point->current), speed};
-    const fo_real speeds = fo_abs(s->operating_point[2]) + fo_abs(speed);
-    const fo_real scale[3] = {a->over_rated, a->over_rated, speeds > ZERO ? ONE / speeds : ZERO};
+    const fo_real speeds = fo_abs(s->operating_point[2]) + fo_abs(speed) + TWO * SPEED_MIN;
+    const fo_real scale[3] = {a->over_rated, a->over_rated, ONE / speeds};
     fo_real moved = ZERO;
     for (int i = 0; i < 3; i++) {
         const fo_real change = (now[i] - s->operating_point[i]) * scale[i];
@@ -671,12 +677,13 @@ static void make_direction_row(const fo_adaptive *a, fo_learner *s, const fo_blo
         r->row[FO_NF + FO_INDUCTANCE + 1] =
             -a->std[FO_INDUCTANCE + 1] * point->armature_flux[1] * true_square;
         r->innovation = -p->product;
-        const fo_real turn = point->length * true_square; /* the residual of a turn by 1 rad */
-        r->variance = noise / square * TWO * (p->square - p->lagged) + MODEL * MODEL * turn * turn;
+        const fo_real radian = point->length * true_square; /* the residual of a turn by 1 rad */
+        const fo_real model = MODEL * radian;
+        r->variance = noise / square * TWO * (p->square - p->lagged) + model * model;
         /* the phase currents' signs may be anything between the two soft ones */
         const fo_real knee = s->report.loss_size * a->plain.h * (p->signs[0] - p->signs[1]);
-        r->systematic = TILT * TILT * turn * turn + knee * knee;
-        s->report.tilt = r->systematic / (turn * turn);
+        r->systematic = TILT * TILT * radian * radian + knee * knee;
+        s->report.tilt = r->systematic / (radian * radian);
         fo_real direction[FO_NA];
         (void)memcpy(direction, r->row, sizeof direction);
         const fo_real known = fo_marginal_variance(FO_NA, s->U, s->d, 0, FO_NA, direction);

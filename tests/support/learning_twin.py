@@ -29,7 +29,8 @@ BLOCK, BLOCK_MOST, MODEL = np.pi / 4, 0.3, 0.002
 INVERTER_UNMODELLED, KNEE_UNMODELLED, DRIFT_MEMORY = 0.05, 0.3, 100.0
 ROWS, CLIP, PROVEN, LEVEL_LEAST = 16.0, 25.0, 8.0, 0.02
 NEW_POINT, ROUND, HEAT_WALK, SIXTH, LEARN_STD = 0.3, 16, 0.1, 0.3, np.pi / 9
-RIPPLE_MIN, RIPPLE_LEAST, ALTERNATING_MIN, TILT = 0.5, 1e-12, 0.75, np.pi / 180
+SPEED_MIN = 1.0
+RIPPLE_MIN, RIPPLE_LEAST, ALTERNATING_MIN, TILT = 0.5, 1e-12, 0.75, np.pi / 600
 #: Order of the parameters, and their number.
 PSI, RESISTANCE, INVERTER, OFFSET, ASYMMETRY, INDUCTANCE, COUNT = 0, 1, 2, 4, 6, 8, 10
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -372,8 +373,8 @@ class LearningTwin:
     def _rows_at_point(self, at: Linearisation, speed: float, share: float) -> float:
         """Count the rows at the present operating point (i_d, i_q, speed)."""
         now = np.array([at.d @ at.i, (J @ at.d) @ at.i, speed])
-        speeds = abs(self.point[2]) + abs(speed)
-        scale = np.array([self.a.over_rated] * 2 + [1 / speeds if speeds > 0 else 0.0])
+        speeds = abs(self.point[2]) + abs(speed) + 2 * SPEED_MIN
+        scale = np.array([self.a.over_rated] * 2 + [1 / speeds])
         moved = float(np.sum(((now - self.point) * scale) ** 2))
         self.point_rows /= 1 + moved / NEW_POINT**2 * self.point_rows
         self.point_rows += share

@@ -87,6 +87,8 @@ BUDGETS = {
 FUSED = (1e-4, math.radians(0.05))
 #: Instructions that a look-up in a table may add to those of a linear map.
 LOOK_UP = 300
+#: Instructions of the injector while the observer runs, at most.
+INJECTING = 400
 M4F = ["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"]
 M0 = ["-mcpu=cortex-m0", "-O2"]
 BUILDS = (
@@ -326,6 +328,36 @@ def measure_configuring() -> bool:
     return failed
 
 
+def measure_injecting() -> bool:
+    """Print the costs of the injector; return whether it costs too many instructions."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder, build = Path(scratch) / "motor", BUILDS[0]
+        machine = fluxobs.read_machine("ipm-2kw2")
+        fluxobs.export(machine, SAMPLE_TIME, folder, unknowns=ADAPTIVE)
+        program = folder / "inject.elf"
+        flags = [*COMMON, *build.flags, f"-I{folder}", f"-I{folder / 'runtime'}", f"-I{HERE}"]
+        sources = [folder / "runtime" / f"fluxobs_{name}.c" for name in ("inject", "seed")]
+        link(build, flags, [HERE / "inject.c", *sources, *folder.glob("fluxobs*.c")], program)
+        pairs, rc = said_by(build, program)
+        ticks, per_instruction = dict(pairs), build.clock * INSTRUCTION * 1e-9
+        searching, running = (
+            round((ticks[name] - ticks["reading"]) / per_instruction)
+            for name in ("searching", "running")
+        )
+        inject = folder / "inject.o"
+        source = folder / "runtime" / "fluxobs_inject.c"
+        subprocess.run(["arm-none-eabi-gcc", *flags, "-c", source, "-o", inject], check=True)
+        code = sum(sizes(inject).values())
+    print(
+        f"fo_inject, {build.name}: at most {searching} instructions while it searches, "
+        f"{running} while the observer runs; {code} bytes"
+    )
+    if rc != 0 or running > INJECTING:
+        print(f"FAILED: the injector may cost at most {INJECTING} instructions")
+        return True
+    return False
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--update", action="store_true", help="write costs.json and docs")
@@ -345,6 +377,7 @@ def main() -> int:
         failed = failed or bad
     failed = measure_maps() or failed
     failed = measure_configuring() or failed
+    failed = measure_injecting() or failed
     if options.update:
         target = ROOT / "src" / "fluxobs" / "deployment" / "costs.json"
         target.write_text(json.dumps(costs, indent=1) + "\n", encoding="utf-8")
