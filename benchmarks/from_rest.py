@@ -3,8 +3,8 @@
 python benchmarks/from_rest.py [--drives 30] [--starts 1000]
 
 R is assumed 20 % too large, dead time 1.5 % of the period, offsets 1 %, noise 0.2 %, 12 bits. The
-torque builds up against a brake, which opens; zero speed for two seconds under full load, then ± 1 %
-of the rated speed with a reversal (tests/firmware/at_rest.c).
+torque builds up against a brake, which opens; zero speed for two seconds under full load, then 1 %
+of the rated speed and a reversal (tests/firmware/at_rest.c).
 """
 
 from __future__ import annotations

@@ -98,9 +98,10 @@ class Inverter(eqx.Module):
         `smoothing` within a period, an explicit step would make the current oscillate. Fixed-point
         iteration of the phases' resistances; it converges since they fall with the current.
         """
+        alpha, beta = phases(jnp.asarray(1.0 + 0j)), phases(jnp.asarray(1j))
         for _ in range(ITERATIONS):
             r = self._resistances(phases(current), dc_link, period)
-            by_real, by_imag = from_phases(r * phases(1.0 + 0j)), from_phases(r * phases(1j))
+            by_real, by_imag = from_phases(r * alpha), from_phases(r * beta)
             a = 1.0 + by_alpha * by_real.real + by_beta * by_real.imag
             b = 1j + by_alpha * by_imag.real + by_beta * by_imag.imag
             determinant = a.real * b.imag - a.imag * b.real

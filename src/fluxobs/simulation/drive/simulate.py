@@ -624,9 +624,11 @@ def _advance_plant(
     duties = inverter.duties(voltage, dc_link)
     if inverter.switching == 0:
         # A leg switches twice per period, around its middle; the current there determines the loss.
-        slope = _current_slopes(plant, state, inverter.ideal(duties, row.dc_link), row.load)
+        at, by_alpha, by_beta = _current_slopes(
+            plant, state, inverter.ideal(duties, row.dc_link), row.load
+        )
         middle = inverter.middle_current(
-            current, current + h / 2 * slope[0], *(h / 2 * slope[1:]), row.dc_link, h
+            current, current + h / 2 * at, h / 2 * by_alpha, h / 2 * by_beta, row.dc_link, h
         )
         mean = inverter.averaged(duties, row.dc_link, middle, h)
         return plant.advance(state, mean, row.load, h, steps), mean
@@ -646,16 +648,18 @@ def _advance_plant(
     return after, mean
 
 
-def _current_slopes(plant: Plant, state: PlantState, voltage: Array, load: Array) -> Array:
+def _current_slopes(
+    plant: Plant, state: PlantState, voltage: Array, load: Array
+) -> tuple[Array, Array, Array]:
     """Return the derivative of the terminal current by time at a voltage [A/s], and how much one
     more volt along α or β adds to it."""
 
     def slope(u: Array) -> Array:
         _, rate = jax.jvp(plant.terminal_current, (state,), (plant.rate(state, u, load),))
-        return rate
+        return jnp.asarray(rate)
 
     at, add = jax.linearize(slope, voltage)
-    return jnp.stack([at, add(jnp.ones_like(voltage)), add(1j * jnp.ones_like(voltage))])
+    return at, add(jnp.ones_like(voltage)), add(1j * jnp.ones_like(voltage))
 
 
 def _create_run(trace: Trace, h: float) -> Run:
