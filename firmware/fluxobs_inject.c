@@ -24,6 +24,9 @@ static const fo_real BIAS_REACHED = (fo_real)0.9;
 /* Measured samples of half a test, samples after which it measures in any case, and tests after
  * which the polarity stays open. */
 static const uint32_t TEST_SAMPLES = 32U, TEST_DELAY = 400U, TESTS = 4U;
+/* Least squared volt-seconds of half a test, as a share of those that tell the axis [1]: with fewer
+ * the noise is too large to decide. */
+static const fo_real EXCITATION_MIN = (fo_real)1e-3;
 /* Stds of the difference of two responses above which the polarity is decided [1]: wrong once in
  * 30 000 starts. */
 static const fo_real DECIDED = (fo_real)4;
@@ -137,9 +140,12 @@ static void search_axis(const fo_injector *p, fo_injector_state *s, const second
     s->sine += x * w[1] + y * w[0];
     s->weight += dot(w, w);
     const fo_real amplitude = fo_abs(p->saliency) * s->weight / TWO;
+    const fo_real all = s->cosine + s->sine + s->weight;
     const bool whole = s->count % (DIRECTION_SAMPLES * DIRECTIONS) == 0U;
     /* Below a third of the expected answer there is no saliency: noise has a fifteenth. */
-    if (whole && s->weight > p->axis_weight &&
+    if (!(all - all == ZERO)) { /* after a sample that is not finite */
+        search_again(s);
+    } else if (whole && s->weight > p->axis_weight &&
         s->cosine * s->cosine + s->sine * s->sine > amplitude * amplitude / (fo_real)8) {
         const fo_real sign = p->saliency > ZERO ? ONE : -ONE;
         s->theta = fo_atan2(sign * s->sine, sign * s->cosine) / TWO;
@@ -152,6 +158,8 @@ static void search_axis(const fo_injector *p, fo_injector_state *s, const second
         s->across = ZERO;
         s->rounds = 0U;
         next_phase(s, FO_INJECT_PLUS);
+    } else {
+        /* measure on */
     }
 }
 
@@ -159,7 +167,12 @@ static void search_axis(const fo_injector *p, fo_injector_state *s, const second
  * angle of a rotor that turns, cancels in two tests. */
 static void decide_polarity(const fo_injector *p, fo_injector_state *s, fo_injection *injection)
 {
-    const fo_real *r = s->response, *e = s->excitation;
+    const fo_real *r = s->response;
+    fo_real e[2];
+    for (int n = 0; n < 2; n++) { /* a voltage that did not alternate tells nothing */
+        const bool excited = s->excitation[n] > EXCITATION_MIN * p->axis_weight;
+        e[n] = excited ? s->excitation[n] : EXCITATION_MIN * p->axis_weight;
+    }
     const fo_real apart = r[0] / e[0] - r[1] / e[1]; /* inverse inductances: saturation is ahead */
     const fo_real variance = p->noise_square * (ONE / e[0] + ONE / e[1]);
     const fo_real least = DIFFERENCE_MIN * (r[0] / e[0] + r[1] / e[1]) / TWO;

@@ -221,3 +221,10 @@ def test_the_cpp_header_steps_the_same_observer(folder, compiler, standard):
     subprocess.run(list(map(str, command)), check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
+
+
+def test_the_injector_takes_any_input(tmp_path):
+    """Samples that are not finite start nothing, and the search goes on; bad settings: refused."""
+    machine = fluxobs.read_machine("ipm-2kw2")
+    fluxobs.export(machine, 1e-4, tmp_path / "motor", unknowns=ADAPTIVE)
+    run_in(tmp_path / "motor", "inject.c")
