@@ -25,13 +25,13 @@ def built(tmp_path_factory):
     return get
 
 
-def check(result, back=15, valid=0.95):
+def check(result, back=15, valid=0.95, worst=10):
     assert result["starts"] == 1
     assert result["torque_at"] < 0.3
     assert result["back"] > -back
     assert result["valid"] > valid
     assert result["within"] > 0.93
-    assert result["worst"] < 10
+    assert result["worst"] < worst
 
 
 @pytest.mark.parametrize("inductances", WRONG.values(), ids=WRONG)
@@ -52,9 +52,10 @@ def test_mild_and_strong_saliency(built, ratio):
 
 
 def test_reluctance_machine_has_no_polarity(built):
+    """Its position vector is short, and torque turns it for milliseconds."""
     machine = example("synrm-6kw7")
     for seed in range(3):
-        check(run(built(machine), drive(machine, seed, saturation=0.0, J=0.05)))
+        check(run(built(machine), drive(machine, seed, saturation=0.0, J=0.05)), worst=20)
 
 
 def test_polarity(built):
