@@ -18,13 +18,13 @@
 #include <string.h>
 
 static struct drive {
-    double R, L_d, L_q, psi, pole_pairs, saturation; /* 1 / L_d rises by this share at twice the rated i_d */
+    double R, L_d, L_q, psi, pole_pairs, saturation; /* saturation: see currents()                 */
     double J, load, passive;                         /* [kg m^2, N m]; passive: friction, no load */
     double link, dead_time, drop, sample_time, rated_current, rated_speed;
     double offset_alpha, offset_beta, noise, bits;   /* [A], [A], [A], of +-5 rated currents      */
     double theta, seed, hold, duration, speed;       /* speed: share of the rated speed           */
     double given_L_d, given_L_q;                     /* inductances that the injector assumes     */
-    double current, voltage, bias, std, inject;               /* inject 0: no injection                    */
+    double current, voltage, bias, std, inject;      /* inject 0: no injection                    */
     double trace;                                    /* samples between two lines on stderr       */
 } p;
 
@@ -37,8 +37,8 @@ static const struct {
     NAME(load), NAME(passive), NAME(link), NAME(dead_time), NAME(drop), NAME(sample_time),
     NAME(rated_current), NAME(rated_speed), NAME(offset_alpha), NAME(offset_beta), NAME(noise),
     NAME(bits), NAME(theta), NAME(seed), NAME(hold), NAME(duration), NAME(speed),
-    NAME(given_L_d), NAME(given_L_q), NAME(current), NAME(voltage), NAME(bias), NAME(std), NAME(inject),
-    NAME(trace),
+    NAME(given_L_d), NAME(given_L_q), NAME(current), NAME(voltage), NAME(bias), NAME(std),
+    NAME(inject), NAME(trace),
 };
 
 /* ---- motor and inverter ------------------------------------------------------------------- */
@@ -208,7 +208,7 @@ int main(void)
     double command[2] = {0, 0}, integral[2] = {0, 0}, speed_integral = 0, back = 0, most_back = 0;
     double ready_at = -1, seed_error = 0, open = 0, first_valid = -1, starts = 0, amplitude = 0;
     double torque_at = -1, reasons[16] = {0};
-    double rows = 0, valid = 0, square = 0, worst = 0, within = 0, variance = 0, tracked = 0;
+    double rows = 0, valid = 0, square = 0, worst = 0, within = 0, variance = 0;
     const long count = lround(p.duration / h);
     for (long k = 0; k < count; k++) {
         double i[2];
@@ -297,7 +297,6 @@ int main(void)
         for (int n = 0; n < 2; n++) {
             command[n] = u[n] + (double)injection.voltage[n];
         }
-        tracked = m.speed;
         if (p.trace > 0 && k % (long)p.trace == 0) {
             (void)fprintf(stderr, "%.4f %.2f %.2f %d %d %.2f %.2f %.2f %.2f %.3f\n", t, error,
                           (double)e.position.theta_e_std * 57.29578, (int)e.position.valid_reason,
@@ -310,7 +309,7 @@ int main(void)
     (void)printf("torque_at %g\nback %g\nvalid %g\nrms %g\nworst %g\nwithin %g\nstd %g\n", torque_at,
                  most_back * 57.29578, valid / fmax(rows, 1), sqrt(square / fmax(valid, 1)), worst,
                  within / fmax(valid, 1), sqrt(variance / fmax(valid, 1)));
-    (void)printf("volts %g\nspeed %g\nphase %d\n", amplitude / fmax(rows, 1), tracked,
+    (void)printf("volts %g\nspeed %g\nphase %d\n", amplitude / fmax(rows, 1), m.speed,
                  (int)injecting.phase);
     for (int n = 1; n < 16; n++) { /* share of the rows that are not valid for this reason */
         (void)printf("reason_%d %g\n", n, reasons[n] / fmax(rows, 1));

@@ -10,10 +10,10 @@ import numpy as np
 import fluxobs
 from fluxobs.machines import InteriorPMSM, SynchronousReluctance
 
+from .at_rest import RATED_SPEED
+from .at_rest import H as SAMPLE_TIME
 from .firmware import HARNESS
 
-#: Period of the samples and of the carrier [s], rated electrical speed [rad/s].
-SAMPLE_TIME, RATED_SPEED = 1e-4, 474.0
 #: R is assumed 20 % too large.
 RESISTANCE = 1.2
 
