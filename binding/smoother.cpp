@@ -21,33 +21,35 @@ namespace nb = nanobind;
 namespace {
 
 using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Table = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 using Column = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 constexpr std::size_t N = FO_SMOOTH;
-static_assert(sizeof(fo_smooth_block) == (12 + N) * sizeof(double), "a block is a row of numbers");
+static_assert(sizeof(fo_smooth_block) == (11 + FO_MEASUREMENTS * (N + 1)) * sizeof(double),
+              "a block is a row of numbers");
 
 using Numbers = std::unique_ptr<double[]>;
 
 Numbers room_for(std::size_t count) { return Numbers(new double[count]); }
 
-nb::tuple smooth(const Rows &blocks, const Rows &measured, const Column &start) {
-    const std::size_t count = blocks.shape(0), sides = measured.shape(1);
+nb::tuple smooth(const Rows &blocks, const Table &measured, const Column &start) {
+    const std::size_t count = blocks.shape(0), each = measured.shape(1), sides = measured.shape(2);
     Numbers state = room_for(count * N * sides), covariance = room_for(count * N * N),
-            innovation = room_for(count * sides), spread = room_for(count),
-            gain = room_for(count * N), work = room_for(2 * N * sides);
+            innovation = room_for(count * each * sides), spread = room_for(count * each),
+            gain = room_for(count * each * N), work = room_for(2 * N * sides);
     const fo_smooth_room room = {state.get(),  covariance.get(), innovation.get(),
                                  spread.get(), gain.get(),       work.get()};
     {
         nb::gil_scoped_release released;
-        fo_smooth(reinterpret_cast<const fo_smooth_block *>(blocks.data()), count, measured.data(),
-                  sides, start.data(), &room);
+        fo_smooth(reinterpret_cast<const fo_smooth_block *>(blocks.data()), count, each,
+                  measured.data(), sides, start.data(), &room);
     }
     return nb::make_tuple(
         owned(std::move(state), {count, N, sides}), owned(std::move(covariance), {count, N, N}),
-        owned(std::move(innovation), {count, sides}), owned(std::move(spread), {count}));
+        owned(std::move(innovation), {count, each, sides}),
+        owned(std::move(spread), {count, each}));
 }
 
-using Table = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 using Marks = nb::ndarray<const std::int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 nb::tuple estimate(const Column &numbers, const Column &std, int kind, const Column &map,
@@ -113,4 +115,5 @@ NB_MODULE(_smoother, m) {
     m.attr("map_fields") = nb::str(fo_map_names);
     m.attr("outputs") = nb::str(fo_smoothed_names);
     m.attr("states") = static_cast<int>(FO_SMOOTH);
+    m.attr("measurements") = static_cast<int>(FO_MEASUREMENTS);
 }

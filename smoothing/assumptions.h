@@ -27,7 +27,8 @@
     NAME(fifth)            /* harmonics of the magnet flux, shares of the flux [1]          */ \
     NAME(seventh)                                                                              \
     NAME(R_R)              /* rotor resistance, share [1]                                   */ \
-    NAME(L_M)              /* magnetizing inductance, share [1]                             */
+    NAME(L_M)              /* magnetizing inductance, share [1]                             */ \
+    NAME(tilt)             /* of the axis that an injected current shows [rad]              */
 
 #define FO_ASSUMPTION_INDEX(name) FO_P_##name,
 enum { FO_ASSUMPTIONS(FO_ASSUMPTION_INDEX) FO_P };

@@ -49,7 +49,10 @@ bool fo_find_cells(const fo_work *w, const double *spread, double usual_speed, f
         memset(place, 0xff, size * sizeof *place); /* -1: empty */
         for (size_t b = 0; b < w->blocks; b++) {
             cells->of[b] = -1;
-            if (!isfinite(spread[b])) continue;
+            bool measures = false;
+            for (size_t n = 0; n < w->measurements; n++)
+                measures = measures || isfinite(spread[b * w->measurements + n]);
+            if (!measures) continue;
             const key k = key_of(w->model, &w->about[b], usual_speed);
             size_t at = hash(k) & (size - 1);
             while (place[at] >= 0 && memcmp(&keys[at], &k, sizeof k) != 0) at = (at + 1) & (size - 1);

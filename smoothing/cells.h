@@ -12,7 +12,7 @@ typedef struct {
     int32_t *of; /* per block; -1 without measurement */
 } fo_cells;
 
-/* False: no memory. */
+/* `spread`: blocks * measurements. False: no memory. */
 bool fo_find_cells(const fo_work *w, const double *spread, double usual_speed, fo_cells *cells);
 void fo_free_cells(fo_cells *cells);
 

@@ -40,9 +40,10 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     w->psi = calloc(blocks, sizeof *w->psi);
     w->block = calloc(blocks, sizeof *w->block);
     w->about = calloc(blocks, sizeof *w->about);
-    w->measured = malloc(blocks * sides * sizeof *w->measured);
+    const size_t measured = blocks * w->measurements;
+    w->measured = malloc(measured * sides * sizeof *w->measured);
     w->across = malloc((blocks * w->columns + 1) * sizeof *w->across);
-    w->noise = malloc(blocks * sizeof *w->noise);
+    w->noise = malloc(measured * w->measurements * sizeof *w->noise);
     w->hard = malloc(n * sizeof *w->hard);
     w->soft = malloc(n * sizeof *w->soft);
     w->doubtful = calloc(blocks, sizeof *w->doubtful);
@@ -50,9 +51,9 @@ static bool allocate(fo_work *w, fo_smoothed *s)
     w->total = malloc((blocks * w->columns + 1) * sizeof *w->total);
     s->room.state = malloc(blocks * N * sides * sizeof(double));
     s->room.covariance = malloc(blocks * N * N * sizeof(double));
-    s->room.innovation = malloc(blocks * sides * sizeof(double));
-    s->room.spread = malloc(blocks * sizeof(double));
-    s->room.gain = malloc(blocks * N * sizeof(double));
+    s->room.innovation = malloc(measured * sides * sizeof(double));
+    s->room.spread = malloc(measured * sizeof(double));
+    s->room.gain = malloc(measured * N * sizeof(double));
     s->room.work = malloc(2 * N * sides * sizeof(double));
     return w->angle && w->speed && w->unwrapped && w->correction && w->psi && w->block &&
            w->about && w->measured && w->across && w->total && w->noise && w->hard && w->soft &&
@@ -115,8 +116,9 @@ static void set_innovations(const fo_work *w, const fo_smoothed *s, spread *all,
 {
     fo_misfits(w, s, misfit);
     for (size_t b = 0; b < w->blocks; b++) {
-        const double v = s->room.spread[b];
-        all[b].innovation = isfinite(v) ? s->room.innovation[b * s->sides] / sqrt(v) : 0.0;
+        const size_t k = b * w->measurements + FO_LENGTH;
+        const double v = s->room.spread[k];
+        all[b].innovation = isfinite(v) ? s->room.innovation[k * s->sides] / sqrt(v) : 0.0;
         all[b].misfit = misfit[b];
     }
 }
@@ -299,6 +301,7 @@ bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_a
     w.record = *r;
     w.per_block = fo_rows_per_block(m);
     w.blocks = fo_blocks_of(m, r->rows);
+    w.measurements = m->injection > 0.0 ? 2 : 1;
     for (int j = 0; j < FO_P; j++)
         if (m->std[j] > 0.0) w.active[w.columns++] = j;
     s.sides = 1 + w.columns;

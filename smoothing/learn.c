@@ -34,6 +34,9 @@ enum { ITERATIONS = 16, FLUX_FIRST = 3, POLISHING = 2 };
  * within two standard deviations (benchmarks/whole_log.py). */
 #define MISFIT_MARGIN 3.0
 #define LEAST_FILTER_SCALE 0.05
+/* Error of the direction that is constant at an operating point and angle [rad]: the tilt of the
+ * axis differs from its mean by as much as the mean differs from zero, 0.3 degrees. */
+#define DIRECTION_ERROR 0.005
 /* Blocks on each side over which the innovations are averaged, at least. */
 enum { MISFIT_BLOCKS = 3 };
 /* If a larger share of the blocks does not fit, the model is wrong, not a stretch of the log. */
@@ -55,17 +58,18 @@ void fo_misfits(const fo_work *w, const fo_smoothed *s, double *misfit)
     const double span = FO_MISFIT_TIME / (w->model->sample_time * (double)w->per_block);
     const size_t side = span > MISFIT_BLOCKS ? (size_t)span : MISFIT_BLOCKS;
     double sum = 0.0, count = 0.0;
-    size_t low = 0, high = 0; /* blocks low .. high - 1 are in the sum */
+    size_t low = 0, high = 0; /* measurements low .. high - 1 are in the sum */
+    const size_t each = w->measurements;
     for (size_t b = 0; b < blocks; b++) {
         const size_t to = b + side + 1 < blocks ? b + side + 1 : blocks,
                      from = b > side ? b - side : 0;
-        for (; high < to; high++)
+        for (; high < each * to; high++)
             if (isfinite(s->room.spread[high])) {
                 const double e = s->room.innovation[high * s->sides];
                 sum += e * e / s->room.spread[high];
                 count += 1.0;
             }
-        for (; low < from; low++)
+        for (; low < each * from; low++)
             if (isfinite(s->room.spread[low])) {
                 const double e = s->room.innovation[low * s->sides];
                 sum -= e * e / s->room.spread[low];
@@ -105,7 +109,7 @@ double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block)
 static double curvature_variance(const fo_block_facts *about, const fo_smooth_block *block,
                                  const double *covariance)
 {
-    const double *row = block->row, size = fmax(hypot(row[0], row[1]), 1e-9);
+    const double *row = block->row[FO_LENGTH], size = fmax(hypot(row[0], row[1]), 1e-9);
     const double x = -row[1] / size, y = row[0] / size;
     const double across = covariance[0] * x * x + 2.0 * covariance[1] * x * y +
                           covariance[N + 1] * y * y;
@@ -142,12 +146,18 @@ static void set_variances(fo_work *w, const double p[FO_P], const double *covari
         fo_smooth_block *block = &w->block[b];
         const fo_block_facts *about = &w->about[b];
         const double T = block->duration;
-        block->variance = about->noise + fo_model_variance(m, about->rotation);
-        if (covariance != NULL)
-            block->variance += curvature_variance(about, block, covariance + b * N * N);
-        if (!about->usable || w->doubtful[b]) block->variance = INFINITY;
+        const bool measures = about->usable && !w->doubtful[b];
         block->decay = exp(-decay_rate * T);
         block->walk[0] = fo_flux_walk(w, p, b) * T;
+        double *variance = block->variance;
+        const double direction = about->noise[FO_DIRECTION] / LEAST_FILTER_SCALE;
+        variance[FO_DIRECTION] = measures && direction > 0.0 ? direction : INFINITY;
+        /* The direction limits an error of the flux as a rotation by its gain does. */
+        const double gain = sqrt(block->walk[0] / (block->walk[0] + variance[FO_DIRECTION]));
+        variance[FO_LENGTH] = about->noise[FO_LENGTH] + fo_model_variance(m, about->rotation + gain);
+        if (covariance != NULL)
+            variance[FO_LENGTH] += curvature_variance(about, block, covariance + b * N * N);
+        if (!measures) variance[FO_LENGTH] = INFINITY;
         block->walk[1] = wander * wander * T;
         block->walk[2] = cage ? rotor * rotor * (1.0 - block->decay * block->decay) : psi * psi * T;
         block->walk[3] = resistance * resistance * T;
@@ -169,9 +179,14 @@ static void smooth_blocks(fo_work *w, const double p[FO_P], const double *covari
                              drift, drift,
                              m->L_M > 0.0 ? m->flux_base * m->flux_base : 0.0, 0.0};
     set_variances(w, p, covariance);
-    fo_smooth(w->block, w->blocks, w->measured, s->sides, start, &s->room);
-    for (size_t b = 0; b < w->blocks; b++) w->noise[b] = w->about[b].noise;
-    fo_smooth_noise(w->block, w->blocks, &s->room, w->noise, w->noise);
+    const size_t each = w->measurements;
+    fo_smooth(w->block, w->blocks, each, w->measured, s->sides, start, &s->room);
+    for (size_t kind = 0; kind < each; kind++) {
+        double *noise = w->noise + kind * each * w->blocks;
+        memset(noise, 0, each * w->blocks * sizeof *noise);
+        for (size_t b = 0; b < w->blocks; b++) noise[each * b + kind] = w->about[b].noise[kind];
+        fo_smooth_noise(w->block, w->blocks, each, &s->room, noise, noise);
+    }
 }
 
 /* What a step needs to know of the innovations. */
@@ -186,26 +201,29 @@ static bool less_cells(const fo_work *w, const fo_smoothed *s, double usual_spee
 {
     const fo_model *m = w->model;
     const size_t P = w->columns, width = P + 2;
-    const double prior = m->cell_error * m->flux_base, variance = prior * prior;
+    const double share[FO_MEASUREMENTS] = {m->cell_error, DIRECTION_ERROR};
     fo_cells cells;
-    if (!(variance > 0.0)) return true;
+    if (!(m->cell_error > 0.0)) return true;
     double *sum = NULL;
     bool good = fo_find_cells(w, s->room.spread, usual_speed, &cells);
     if (good) {
-        sum = calloc(cells.count * width + 1, sizeof *sum); /* weight, W e, W E */
+        /* Weight, W e, W E of each cell and kind of measurement. */
+        sum = calloc(cells.count * w->measurements * width + 1, sizeof *sum);
         good = sum != NULL;
     }
     if (good) {
-        for (size_t b = 0; b < w->blocks; b++) {
-            if (cells.of[b] < 0) continue;
-            double *cell = sum + (size_t)cells.of[b] * width;
-            const double weight = 1.0 / s->room.spread[b];
-            const double *e = s->room.innovation + b * s->sides;
+        for (size_t k = 0; k < w->measurements * w->blocks; k++) {
+            const size_t b = k / w->measurements, kind = k % w->measurements;
+            if (cells.of[b] < 0 || !isfinite(s->room.spread[k])) continue;
+            double *cell = sum + ((size_t)cells.of[b] * w->measurements + kind) * width;
+            const double weight = 1.0 / s->room.spread[k];
+            const double *e = s->room.innovation + k * s->sides;
             cell[0] += weight;
             for (size_t j = 0; j <= P; j++) cell[1 + j] += weight * e[j];
         }
-        for (size_t c = 0; c < cells.count; c++) {
-            const double *cell = sum + c * width, k = variance / (1.0 + variance * cell[0]);
+        for (size_t c = 0; c < cells.count * w->measurements; c++) {
+            const double prior = share[c % w->measurements] * m->flux_base, variance = prior * prior,
+                         *cell = sum + c * width, k = variance / (1.0 + variance * cell[0]);
             n->cost -= 0.5 * k * cell[1] * cell[1];
             for (size_t i = 0; i < P; i++) {
                 n->gradient[i] -= k * cell[2 + i] * cell[1];
@@ -228,19 +246,25 @@ static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_sm
     memset(n->information, 0, P * P * sizeof *n->information);
     memset(n->gradient, 0, P * sizeof *n->gradient);
     n->cost = 0.0;
-    for (size_t b = 0; b < w->blocks; b++) {
-        const double spread = s->room.spread[b];
+    for (size_t k = 0; k < w->measurements * w->blocks; k++) {
+        const double spread = s->room.spread[k];
         if (!isfinite(spread)) continue;
-        const double weight = 1.0 / spread, *e = s->room.innovation + b * s->sides,
+        const double weight = 1.0 / spread, *e = s->room.innovation + k * s->sides,
                      z = e[0] / sqrt(spread);
-        square += z * z;
-        product += z * last;
-        last = z;
-        count++;
-        const double noise = w->noise[b] * weight;
-        n->cost += 0.5 * (e[0] * e[0] * weight - noise);
-        regressor_d += w->about[b].share_d * noise;
-        regressor_q += w->about[b].share_q * noise;
+        const fo_block_facts *about = &w->about[k / w->measurements];
+        n->cost += 0.5 * e[0] * e[0] * weight;
+        for (size_t kind = 0; kind < w->measurements; kind++) {
+            const double noise = w->noise[kind * w->measurements * w->blocks + k] * weight;
+            n->cost -= 0.5 * noise;
+            regressor_d += about->share_d[kind] * noise;
+            regressor_q += about->share_q[kind] * noise;
+        }
+        if (k % w->measurements == FO_LENGTH) {
+            square += z * z;
+            product += z * last;
+            last = z;
+            count++;
+        }
         for (size_t i = 0; i < P; i++) {
             const double scaled = weight * e[1 + i];
             n->gradient[i] += scaled * e[0];

@@ -36,7 +36,8 @@ extern "C" {
     NUMBER(voltage_error)   /* unmodelled share of the inverter's loss                      */ \
     NUMBER(psi_rate)        /* change of the magnet flux [1/√s]                             */ \
     NUMBER(resistance_rate) /* change of the resistance [1/√s]                              */ \
-    NUMBER(rotor_flux_start) /* cage: share of the steady rotor flux at the first row       */
+    NUMBER(rotor_flux_start) /* cage: share of the steady rotor flux at the first row       */ \
+    NUMBER(injection)       /* 1: an injected current shows the direction of the flux       */
 
 #define FO_MODEL_NUMBER(name) double name;
 typedef struct {

@@ -278,16 +278,17 @@ static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
     block->duration = n * h;
     block->coupling[0] = -h * s->mean.re;
     block->coupling[1] = -h * s->mean.im;
-    block->row[0] = over * s->along.re;
-    block->row[1] = over * s->along.im;
-    block->row[2] = over * s->along_by_time.re;
-    block->row[3] = over * s->along_by_time.im;
-    block->row[4] = -over * s->psi_row;
-    block->row[5] = 0.0;
-    about->noise = (s->noise * over) * (s->noise * over) * over;
+    double *row = block->row[FO_LENGTH];
+    row[0] = over * s->along.re;
+    row[1] = over * s->along.im;
+    row[2] = over * s->along_by_time.re;
+    row[3] = over * s->along_by_time.im;
+    row[4] = -over * s->psi_row;
+    row[5] = 0.0;
+    about->noise[FO_LENGTH] = (s->noise * over) * (s->noise * over) * over;
     const double noise = fmax(s->squares, 1e-300);
-    about->share_d = s->square_d / noise;
-    about->share_q = s->square_q / noise;
+    about->share_d[FO_LENGTH] = s->square_d / noise;
+    about->share_q[FO_LENGTH] = s->square_q / noise;
     about->rotation = fabs(s->speed * h) + 1e-9;
     about->speed = over * s->speed;
     about->angle = atan2(s->phase.im, s->phase.re);
@@ -301,13 +302,156 @@ static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
     about->across_psi = over * s->across_psi;
     about->usable = s->usable && !(m->L_M > 0.0 &&
                                    over * s->rotor_flux < LEAST_ROTOR_FLUX * m->flux_base);
-    double *measured = w->measured + b * (1 + w->columns);
+    double *measured = w->measured + b * w->measurements * (1 + w->columns);
     measured[0] = over * s->measured;
     for (size_t j = 0; j < w->columns; j++) {
         measured[1 + j] = -over * s->column[w->active[j]];
         w->across[b * w->columns + j] = over * s->across[w->active[j]];
         w->total[b * w->columns + j] = total[w->active[j]];
     }
+}
+
+/* ---- direction ------------------------------------------------------------------------------- *
+ *
+ * An error e of the angle leaves the residual -j e a of the relation, in rotor coordinates. If the
+ * current changes by d, the residual changes by -j e M d, with
+ *
+ *     a(i) = F(i) + j J (j i),  M d = J d + j J (j d),
+ *
+ * whatever the flux. M is symmetric without trace, |M d| = m |d|, and zero without saliency. A change
+ * of the current in any direction so shows the angle. */
+
+/* Fewest rows of a measurement of the direction. */
+enum { DIRECTION_ROWS = 16 };
+/* The measurement is used if this share of the squared changes is not noise. */
+#define RIPPLE_MIN 0.5
+/* Correlation of a change with the one before, at most: it is -1 at half the sampling rate, 0 at a
+ * quarter, -1/2 for noise, and near 1 for loads and unequal sensors, which also change the residual. */
+#define ALTERNATING_MIN 0.25
+
+/* What a row contributes; vectors in rotor coordinates. */
+typedef struct {
+    vec rest, current, auxiliary; /* residual [Wb], current [A], a [Wb] */
+    double angle;                 /* [rad] */
+    vec direction;                /* of the rotor, in stator coordinates */
+    vec total[FO_P], change[FO_P]; /* derivatives of the flux and of the relation by assumptions */
+} ripple_row;
+
+/* Sums over the changes from row to row. */
+typedef struct {
+    ripple_row last;
+    bool seen;
+    vec response;                     /* last M d */
+    double rows, product, square, lagged, saliency, size, reference, across_psi;
+    double noise, noise_d, noise_q;   /* squares of the noise in `product`, and its products with the
+                                       * noise in the derivatives by L_d and L_q */
+    vec across, across_by_time;       /* derivative of the angle by the flux [rad/Wb] */
+    double of_angle[FO_P], direct[FO_P]; /* derivatives of the angle, and of `product` */
+} ripple;
+
+/* What a row's angle depends on. */
+typedef struct {
+    vec across;             /* derivatives of the angle by the flux [rad/Wb], */
+    double across_psi;      /* by the magnet flux [rad/Wb], */
+    double column[FO_P];    /* by the assumptions */
+    double reference;       /* part of the angle that the reference's corrections cause [rad] */
+    double time;            /* from the middle of the block [s] */
+} angle_facts;
+
+/* `rotation`: of the rotor within a sample [rad]. Both rows are seen from the angle between theirs,
+ * since the noise of the current is in each row's own angle. */
+static void add_ripple(const fo_work *w, ripple *s, const ripple_row *now, const fo_relation *f,
+                       const angle_facts *facts, bool measured, double rotation)
+{
+    if (measured && s->seen) {
+        const ripple_row *last = &s->last;
+        const double away = 0.5 * (wrapped(now->angle - last->angle) - rotation);
+        const vec middle = vec_of(1.0, -away), /* conj(1 + j away) to the middle of the two angles */
+            turn_now = conjugate(middle), turn_last = middle;
+        const vec d = minus(product(now->current, turn_now), product(last->current, turn_last));
+        /* M d */
+        const double even = f->by_d.re - f->by_q.im, odd = f->by_q.re + f->by_d.im;
+        const vec response = vec_of(even * d.re + odd * d.im, odd * d.re - even * d.im),
+                  beside = turned(response);
+        const vec rest = plus(minus(now->rest, last->rest),
+                              times(away, turned(plus(now->auxiliary, last->auxiliary))));
+        const double square = dot(response, response), over = square > 0.0 ? 1.0 / sqrt(square) : 0.0,
+                     by_d = over * dot(f->by_d, beside), by_q = over * dot(f->by_q, beside);
+        /* Derivatives of J d by the scales of L_d and L_q: its components. Their products with M d
+         * contain the noise of J d and that of M d. */
+        const vec flux = plus(times(d.re, f->by_d), times(d.im, f->by_q));
+        const vec noise = vec_of(by_d, by_q),
+                  noise_d = vec_of(beside.re * f->by_d.re - odd * flux.re,
+                                   beside.re * f->by_q.re + even * flux.re),
+                  noise_q = vec_of(beside.im * f->by_d.im + even * flux.im,
+                                   beside.im * f->by_q.im + odd * flux.im);
+        s->rows += 1.0;
+        s->product -= dot(rest, beside);
+        s->square += square;
+        s->lagged += dot(response, s->response);
+        s->saliency += even * even + odd * odd;
+        s->noise += dot(noise, noise);
+        s->noise_d += over * dot(noise, noise_d);
+        s->noise_q += over * dot(noise, noise_q);
+        s->size += length_of(now->auxiliary);
+        s->reference += facts->reference;
+        s->across = plus(s->across, facts->across);
+        s->across_by_time = plus(s->across_by_time, times(facts->time, facts->across));
+        s->across_psi += facts->across_psi;
+        for (size_t n = 0; n < w->columns; n++) {
+            const int j = w->active[n];
+            const vec gained = product(minus(now->total[j], last->total[j]), conjugate(now->direction)),
+                      changed = minus(now->change[j], last->change[j]);
+            s->of_angle[j] += facts->column[n];
+            s->direct[j] -= dot(minus(gained, changed), beside);
+        }
+        s->response = response;
+    } else {
+        s->response = vec_of(0.0, 0.0);
+    }
+    s->seen = measured;
+    s->last = *now;
+}
+
+/* Noise of the current is in the changes, too, but does not respond to an error of the angle: the
+ * squares without it are the denominator. */
+static void finish_direction(fo_work *w, const double p[FO_P], size_t b, ripple *s)
+{
+    const fo_model *m = w->model;
+    fo_block_facts *about = &w->about[b];
+    about->noise[FO_DIRECTION] = 0.0;
+    if (s->rows < DIRECTION_ROWS) return;
+    const double noise = m->current_noise * m->current_noise,
+                 saliency = s->square > 0.0 ? s->saliency / s->rows : 0.0;
+    const double true_square = s->square - 4.0 * s->rows * saliency * noise;
+    if (s->square > 0.0 && true_square > RIPPLE_MIN * s->square &&
+        s->lagged < ALTERNATING_MIN * s->square) {
+        const double over = 1.0 / s->rows, size = over * s->size, scale = over * size;
+        double *row = w->block[b].row[FO_DIRECTION],
+               *measured = w->measured + (b * w->measurements + FO_DIRECTION) * (1 + w->columns);
+        row[0] = scale * s->across.re;
+        row[1] = scale * s->across.im;
+        row[2] = scale * s->across_by_time.re;
+        row[3] = scale * s->across_by_time.im;
+        row[4] = scale * s->across_psi;
+        row[5] = 0.0;
+        measured[0] = scale * s->reference - size * (s->product / true_square + p[FO_P_tilt]);
+        for (size_t n = 0; n < w->columns; n++) {
+            const int j = w->active[n];
+            const double by_angle = over * s->of_angle[j], direct = s->direct[j] / s->square;
+            measured[1 + n] = -size * (j == FO_P_tilt ? 1.0 : by_angle + direct);
+        }
+        about->noise[FO_DIRECTION] = size * size * 2.0 * noise * over * s->noise *
+                                     (s->square - s->lagged) / (true_square * true_square);
+        about->share_d[FO_DIRECTION] = s->noise_d / s->noise / (1.0 + p[FO_P_L_d]);
+        about->share_q[FO_DIRECTION] = s->noise_q / s->noise / (1.0 + p[FO_P_L_q]);
+    }
+    ripple next;
+    memset(&next, 0, sizeof next);
+    next.last = s->last;
+    next.seen = s->seen;
+    next.response = s->response;
+    *s = next;
 }
 
 void fo_fit_speed(fo_work *w)
@@ -341,6 +485,9 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
     memset(change, 0, sizeof change);
     sums s;
     memset(&s, 0, sizeof s);
+    ripple changes;
+    memset(&changes, 0, sizeof changes);
+    const bool injection = w->measurements > FO_DIRECTION;
     for (size_t k = 0; k < w->record.rows; k++) {
         const size_t b = k / w->per_block, inside = k % w->per_block;
         const bool counts = b < w->blocks;
@@ -382,10 +529,14 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
         const double over = 1.0 / f.size, d = dot(f.by_d, f.along), q = dot(f.by_q, f.along),
                      across_d = dot(f.by_d, athwart), across_q = dot(f.by_q, athwart);
         if (counts) {
+            angle_facts facts = {times(over, beside), -over * athwart.re, {0.0}, 0.0, since};
+            facts.reference =
+                dot(facts.across, correction) + facts.across_psi * (psi - reference);
             for (size_t n = 0; n < w->columns; n++) {
                 const int j = w->active[n];
+                facts.column[n] = over * (dot(beside, total[j]) - dot(athwart, change[j]));
                 s.column[j] += dot(along, total[j]) - dot(f.along, change[j]);
-                s.across[j] += over * (dot(beside, total[j]) - dot(athwart, change[j]));
+                s.across[j] += facts.column[n];
             }
             s.across[FO_P_delay] += speed * h;
             s.along = plus(s.along, along);
@@ -397,7 +548,7 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
             s.square_d += (one_inductance ? d * d + q * q : d * d) / (1.0 + p[FO_P_L_d]);
             s.square_q += one_inductance ? 0.0 : q * q / (1.0 + p[FO_P_L_q]);
             s.across_noise += noise2 * (across_d * across_d + across_q * across_q) * over * over;
-            s.across_psi -= over * athwart.re;
+            s.across_psi += facts.across_psi;
             s.mean = plus(s.mean, at.mean);
             s.current = plus(s.current, i_dq);
             s.current_still = plus(s.current_still, at.current);
@@ -407,9 +558,20 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
             s.size += f.size + (residual < 0.0 ? residual : 0.0);
             s.rotor_flux += psi + (residual < 0.0 ? residual : 0.0);
             s.speed += speed;
-            s.flux_across = plus(s.flux_across, times(over, beside));
-            s.usable = s.usable && fo_is_measured(&w->record, k);
-            if (inside + 1 == w->per_block) finish(w, b, &s, total);
+            s.flux_across = plus(s.flux_across, facts.across);
+            const bool is_measured = fo_is_measured(&w->record, k);
+            s.usable = s.usable && is_measured;
+            if (injection) {
+                ripple_row now = {times(residual, f.along), i_dq, times(f.size, f.along),
+                                  w->angle[k], direction, {{0.0, 0.0}}, {{0.0, 0.0}}};
+                memcpy(now.total, total, sizeof total);
+                memcpy(now.change, change, sizeof change);
+                add_ripple(w, &changes, &now, &f, &facts, is_measured, speed * h);
+            }
+            if (inside + 1 == w->per_block) {
+                finish(w, b, &s, total);
+                if (injection) finish_direction(w, p, b, &changes);
+            }
         }
         i_d += i_dq.re > 0.0 ? i_dq.re : 0.0;
         if (rows != NULL) {

@@ -13,6 +13,9 @@ enum { FO_LONGEST_BLOCK = 16 };
 /* Rows on each side from which the speed is fitted. */
 enum { FO_SPEED_ROWS = 20 };
 
+/* Measurements of a block: the length of the auxiliary flux, and its direction. */
+enum { FO_LENGTH, FO_DIRECTION };
+
 typedef struct {
     size_t rows;
     const vec *voltage;       /* mean over the interval that ends at the row [V]; NaN: unknown */
@@ -28,8 +31,10 @@ static inline int fo_floating_phase(const fo_record *r, size_t row) { return r->
 
 /* What a block tells besides its measurement. */
 typedef struct {
-    double noise;              /* variance of the measurement from the current's noise [Wb^2] */
-    double share_d, share_q;   /* of that noise in the regressors of L_d and L_q [1] */
+    double noise[FO_MEASUREMENTS]; /* variance of a measurement from the current's noise [Wb^2];
+                                    * of the direction, 0: it is not measured */
+    double share_d[FO_MEASUREMENTS], share_q[FO_MEASUREMENTS]; /* of that noise in the regressors
+                                                                * of L_d and L_q [1] */
     double rotation;           /* of the rotor within the block [rad] */
     double speed, angle;       /* [rad/s], [rad] */
     vec current;               /* in rotor coordinates [A] */
@@ -54,6 +59,7 @@ typedef struct {
     const fo_model *model;
     fo_record record;
     size_t per_block, blocks, columns; /* columns: assumptions that are not exact */
+    size_t measurements;               /* of a block: 1, with an injected current 2 */
     int active[FO_P];                  /* their indices */
     double *angle, *speed;             /* per row: where the relation is linearised */
     double *unwrapped;                 /* per row: working space */
@@ -61,10 +67,12 @@ typedef struct {
     double *psi;                       /* per block: reference of the deviation of the flux [Wb] */
     fo_smooth_block *block;
     fo_block_facts *about;
-    double *measured;                  /* blocks * (1 + columns) */
+    double *measured;                  /* blocks * measurements * (1 + columns) */
     double *across;                    /* blocks * columns: derivatives of the angle [rad] */
     vec *total;                        /* blocks * columns: derivatives of the flux [Wb] */
-    double *noise;                     /* per block: variance of the innovation from the noise */
+    double *noise;                     /* measurements * blocks * measurements: variance of an
+                                        * innovation from the noise of the first, of the second
+                                        * measurement of all blocks */
     fo_sign *hard, *soft;              /* per row: signs of the phase currents */
     double signs_of[4];                /* offsets and gains of the currents of these signs */
     bool signs_known, signs_filled;

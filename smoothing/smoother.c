@@ -70,22 +70,22 @@ static void predict_information(const fo_smooth_block *b, square l)
     }
 }
 
-static int measures(const fo_smooth_block *b) { return isfinite(b->variance); }
+static int measures(const fo_smooth_block *b, size_t m) { return isfinite(b->variance[m]); }
 
-static void update(const fo_smooth_block *b, const double *measured, size_t sides, square p,
-                   double *x, double *gain, double *innovation, double *spread)
+static void update(const double row[N], double variance, const double *measured, size_t sides,
+                   square p, double *x, double *gain, double *innovation, double *spread)
 {
     double by_row[N]; /* P h */
-    *spread = b->variance;
+    *spread = variance;
     for (int n = 0; n < N; n++) {
         by_row[n] = 0.0;
-        for (int k = 0; k < N; k++) by_row[n] += p[n][k] * b->row[k];
+        for (int k = 0; k < N; k++) by_row[n] += p[n][k] * row[k];
     }
-    for (int n = 0; n < N; n++) *spread += b->row[n] * by_row[n];
+    for (int n = 0; n < N; n++) *spread += row[n] * by_row[n];
     for (int n = 0; n < N; n++) gain[n] = by_row[n] / *spread;
     memcpy(innovation, measured, sides * sizeof *innovation);
     for (int n = 0; n < N; n++)
-        for (size_t j = 0; j < sides; j++) innovation[j] -= b->row[n] * x[n * sides + j];
+        for (size_t j = 0; j < sides; j++) innovation[j] -= row[n] * x[n * sides + j];
     for (int n = 0; n < N; n++)
         for (size_t j = 0; j < sides; j++) x[n * sides + j] += gain[n] * innovation[j];
     for (int n = 0; n < N; n++)
@@ -93,7 +93,7 @@ static void update(const fo_smooth_block *b, const double *measured, size_t side
 }
 
 /* Adjoint before the measurement: l <- (I - K h')' l - h e/s, L <- (I - K h')' L (I - K h') + h h'/s. */
-static void update_adjoint(const fo_smooth_block *b, const double *gain, const double *innovation,
+static void update_adjoint(const double row[N], const double *gain, const double *innovation,
                            double spread, size_t sides, double *l, square information, double *sum)
 {
     double by_gain[N], quadratic = 1.0 / spread;
@@ -101,7 +101,7 @@ static void update_adjoint(const fo_smooth_block *b, const double *gain, const d
     for (int n = 0; n < N; n++)
         for (size_t j = 0; j < sides; j++) sum[j] += gain[n] * l[n * sides + j];
     for (int n = 0; n < N; n++)
-        for (size_t j = 0; j < sides; j++) l[n * sides + j] -= b->row[n] * sum[j];
+        for (size_t j = 0; j < sides; j++) l[n * sides + j] -= row[n] * sum[j];
     for (int n = 0; n < N; n++) {
         by_gain[n] = 0.0;
         for (int k = 0; k < N; k++) by_gain[n] += information[n][k] * gain[k];
@@ -109,8 +109,8 @@ static void update_adjoint(const fo_smooth_block *b, const double *gain, const d
     for (int n = 0; n < N; n++) quadratic += gain[n] * by_gain[n];
     for (int n = 0; n < N; n++)
         for (int k = 0; k < N; k++)
-            information[n][k] += b->row[n] * b->row[k] * quadratic - b->row[n] * by_gain[k] -
-                                 by_gain[n] * b->row[k];
+            information[n][k] += row[n] * row[k] * quadratic - row[n] * by_gain[k] -
+                                 by_gain[n] * row[k];
 }
 
 /* Smoothed state x - P l and covariance P - P L P, in place of the predicted ones. */
@@ -135,8 +135,9 @@ static void smooth_block(const double *l, square information, size_t sides, doub
             for (int m = 0; m < N; m++) p[n][k] -= half[n][m] * kept[m][k];
 }
 
-static void forwards(const fo_smooth_block *block, size_t blocks, const double *measured,
-                     size_t sides, const double start[N], const fo_smooth_room *room)
+static void forwards(const fo_smooth_block *block, size_t blocks, size_t measurements,
+                     const double *measured, size_t sides, const double start[N],
+                     const fo_smooth_room *room)
 {
     square p = {{0.0}};
     double *x = room->work;
@@ -149,26 +150,31 @@ static void forwards(const fo_smooth_block *block, size_t blocks, const double *
         }
         memcpy(room->state + k * N * sides, x, N * sides * sizeof *x);
         memcpy(room->covariance + k * N * N, p, sizeof p);
-        if (measures(&block[k])) {
-            update(&block[k], measured + k * sides, sides, p, x, room->gain + k * N,
-                   room->innovation + k * sides, room->spread + k);
-        } else {
-            memset(room->innovation + k * sides, 0, sides * sizeof *room->innovation);
-            room->spread[k] = INFINITY;
+        for (size_t m = 0; m < measurements; m++) {
+            const size_t at = k * measurements + m;
+            if (measures(&block[k], m)) {
+                update(block[k].row[m], block[k].variance[m], measured + at * sides, sides, p, x,
+                       room->gain + at * N, room->innovation + at * sides, room->spread + at);
+            } else {
+                memset(room->innovation + at * sides, 0, sides * sizeof *room->innovation);
+                room->spread[at] = INFINITY;
+            }
         }
     }
 }
 
-static void backwards(const fo_smooth_block *block, size_t blocks, size_t sides,
-                      const fo_smooth_room *room)
+static void backwards(const fo_smooth_block *block, size_t blocks, size_t measurements,
+                      size_t sides, const fo_smooth_room *room)
 {
     square information = {{0.0}};
     double *l = room->work, *work = room->work + N * sides;
     memset(l, 0, N * sides * sizeof *l);
     for (size_t k = blocks; k-- > 0;) {
-        if (measures(&block[k])) {
-            update_adjoint(&block[k], room->gain + k * N, room->innovation + k * sides,
-                           room->spread[k], sides, l, information, work);
+        for (size_t m = measurements; m-- > 0;) {
+            const size_t at = k * measurements + m;
+            if (measures(&block[k], m))
+                update_adjoint(block[k].row[m], room->gain + at * N, room->innovation + at * sides,
+                               room->spread[at], sides, l, information, work);
         }
         smooth_block(l, information, sides, room->state + k * N * sides,
                      (double(*)[N])(room->covariance + k * N * N), work);
@@ -179,34 +185,39 @@ static void backwards(const fo_smooth_block *block, size_t blocks, size_t sides,
     }
 }
 
-void fo_smooth(const fo_smooth_block *block, size_t blocks, const double *measured, size_t sides,
-               const double start[FO_SMOOTH], const fo_smooth_room *room)
+void fo_smooth(const fo_smooth_block *block, size_t blocks, size_t measurements,
+               const double *measured, size_t sides, const double start[FO_SMOOTH],
+               const fo_smooth_room *room)
 {
-    forwards(block, blocks, measured, sides, start, room);
-    backwards(block, blocks, sides, room);
+    forwards(block, blocks, measurements, measured, sides, start, room);
+    backwards(block, blocks, measurements, sides, room);
 }
 
-void fo_smooth_noise(const fo_smooth_block *block, size_t blocks, const fo_smooth_room *room,
-                     const double *noise, double *through)
+void fo_smooth_noise(const fo_smooth_block *block, size_t blocks, size_t measurements,
+                     const fo_smooth_room *room, const double *noise, double *through)
 {
     square p = {{0.0}};
     for (size_t k = 0; k < blocks; k++) {
         const fo_smooth_block *b = &block[k];
-        const double *gain = room->gain + k * N;
-        const double own = noise[k]; /* `through` may be `noise` */
-        double by_row[N];
         if (k > 0) transport_covariance(b, p);
-        through[k] = 0.0;
-        if (!measures(b)) continue;
-        for (int n = 0; n < N; n++) {
-            by_row[n] = 0.0;
-            for (int m = 0; m < N; m++) by_row[n] += p[n][m] * b->row[m];
+        for (size_t j = 0; j < measurements; j++) {
+            const size_t at = k * measurements + j;
+            const double *gain = room->gain + at * N, *row = b->row[j];
+            const double own = noise[at]; /* `through` may be `noise` */
+            double by_row[N];
+            through[at] = 0.0;
+            if (!measures(b, j)) continue;
+            for (int n = 0; n < N; n++) {
+                by_row[n] = 0.0;
+                for (int m = 0; m < N; m++) by_row[n] += p[n][m] * row[m];
+            }
+            through[at] = own;
+            for (int n = 0; n < N; n++) through[at] += row[n] * by_row[n];
+            /* (I - K h') P (I - K h')' + K r K' */
+            for (int n = 0; n < N; n++)
+                for (int m = 0; m < N; m++)
+                    p[n][m] += gain[n] * gain[m] * through[at] - gain[n] * by_row[m] -
+                               by_row[n] * gain[m];
         }
-        through[k] = own;
-        for (int n = 0; n < N; n++) through[k] += b->row[n] * by_row[n];
-        /* (I - K h') P (I - K h')' + K r K' */
-        for (int n = 0; n < N; n++)
-            for (int m = 0; m < N; m++)
-                p[n][m] += gain[n] * gain[m] * through[k] - gain[n] * by_row[m] - by_row[n] * gain[m];
     }
 }

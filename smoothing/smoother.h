@@ -5,8 +5,8 @@
  *
  *     (c_α, c_β [Wb], θ_α, θ_β [V], ψ [Wb], R [Ω]),
  *
- * with the deviations ψ and R of magnet flux and resistance from their assumed values. A block
- * measures one number, linear in the state. All right-hand sides have the same covariances and
+ * with the deviations ψ and R of magnet flux and resistance from their assumed values. A block has
+ * one or two measurements, each linear in the state. All right-hand sides have the same covariances and
  * gains: the first is the measurement, the others are its derivatives by parameters. The smoothed
  * right-hand sides are then the state and its sensitivities (Friedland, doi:10.1109/TAC.1969.1099223).
  *
@@ -22,7 +22,8 @@
 extern "C" {
 #endif
 
-enum { FO_SMOOTH = 6 }; /* states */
+/* States, and measurements of a block at most. */
+enum { FO_SMOOTH = 6, FO_MEASUREMENTS = 2 };
 
 typedef struct {
     double duration;    /* since the previous block [s] */
@@ -30,29 +31,31 @@ typedef struct {
     double decay;       /* factor on ψ since the previous block */
     double walk[4];     /* variance gained since then: by a component of c, of θ, by ψ, by R */
     double floating[3]; /* variance gained by c besides, αα, αβ, ββ: a phase without a known voltage */
-    double row[FO_SMOOTH];
-    double variance; /* of the measurement; infinite: there is none */
+    double row[FO_MEASUREMENTS][FO_SMOOTH];
+    double variance[FO_MEASUREMENTS]; /* infinite: there is no such measurement */
 } fo_smooth_block;
 
 /* Room that the caller provides; in numbers. */
 typedef struct {
     double *state;      /* blocks * FO_SMOOTH * sides: result, smoothed */
     double *covariance; /* blocks * FO_SMOOTH * FO_SMOOTH: result, smoothed */
-    double *innovation; /* blocks * sides: result, 0 without measurement */
-    double *spread;     /* blocks: result, variance of the innovations; infinite without */
-    double *gain;       /* blocks * FO_SMOOTH */
+    double *innovation; /* blocks * measurements * sides: result, 0 without measurement */
+    double *spread;     /* blocks * measurements: result, variance of the innovations; infinite
+                         * without */
+    double *gain;       /* blocks * measurements * FO_SMOOTH */
     double *work;       /* 2 * FO_SMOOTH * sides */
 } fo_smooth_room;
 
-/* `measured`: blocks * sides. `start`: variance of each state before the first block, whose mean is
- * zero for every right-hand side. */
-void fo_smooth(const fo_smooth_block *block, size_t blocks, const double *measured, size_t sides,
-               const double start[FO_SMOOTH], const fo_smooth_room *room);
+/* `measured`: blocks * measurements * sides. `start`: variance of each state before the first block,
+ * whose mean is zero for every right-hand side. Errors of the measurements are independent. */
+void fo_smooth(const fo_smooth_block *block, size_t blocks, size_t measurements,
+               const double *measured, size_t sides, const double start[FO_SMOOTH],
+               const fo_smooth_room *room);
 
 /* Variance of each innovation that comes from white noise of the measurements with these variances,
  * through the filter with the gains of `room`; 0 without measurement. */
-void fo_smooth_noise(const fo_smooth_block *block, size_t blocks, const fo_smooth_room *room,
-                     const double *noise, double *through);
+void fo_smooth_noise(const fo_smooth_block *block, size_t blocks, size_t measurements,
+                     const fo_smooth_room *room, const double *noise, double *through);
 
 #ifdef __cplusplus
 }

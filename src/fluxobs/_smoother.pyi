@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 
 Doubles = NDArray[np.float64]
 
-#: Number of states.
+#: Numbers of states, and of measurements of a block at most.
 states: int
+measurements: int
 
 def smooth(
     blocks: Doubles, measured: Doubles, start: Doubles

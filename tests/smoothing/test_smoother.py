@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fluxobs.errors import ModelError
 from fluxobs.smoothing.smoother import STATES, Blocks, smooth
 
-COUNT, SIDES = 25, 4
+COUNT, MEASURED, SIDES = 25, 2, 4
+MISSING = ([3, 4, 12, 12, 20], [0, 0, 0, 1, 1])  # blocks, measurements
 
 
 @pytest.fixture
@@ -17,14 +20,14 @@ def rng():
 
 
 def drawn_blocks(rng) -> Blocks:
-    variance = 10.0 ** rng.uniform(-3, 1, COUNT)
-    variance[[3, 4, 12]] = np.inf  # blocks without measurement
+    variance = 10.0 ** rng.uniform(-3, 1, (COUNT, MEASURED))
+    variance[MISSING] = np.inf
     return Blocks(
         rng.uniform(0.1, 2.0, COUNT),
         rng.standard_normal((COUNT, 2)),
         rng.uniform(0.5, 1.0, COUNT),
         10.0 ** rng.uniform(-4, 0, (COUNT, 4)),
-        rng.standard_normal((COUNT, STATES)),
+        rng.standard_normal((COUNT, MEASURED, STATES)),
         variance,
     )
 
@@ -52,13 +55,13 @@ def joint_covariance(blocks: Blocks, start: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("start", [np.ones(STATES), np.array([4.0, 4.0, 0.1, 0.1, 0.0, 0.0])])
 def test_against_the_joint_gaussian(rng, start):
     blocks = drawn_blocks(rng)
-    y = rng.standard_normal((COUNT, SIDES))
+    y = rng.standard_normal((COUNT, MEASURED, SIDES))
     smoothed = smooth(blocks, y, start)
     prior = joint_covariance(blocks, start)
-    measured = np.flatnonzero(np.isfinite(blocks.variance))
-    H = np.zeros((len(measured), STATES * COUNT))
-    for n, k in enumerate(measured):
-        H[n, STATES * k : STATES * (k + 1)] = blocks.row[k]
+    measured = np.isfinite(blocks.variance)
+    H = np.zeros((measured.sum(), STATES * COUNT))
+    for n, (k, m) in enumerate(np.argwhere(measured)):
+        H[n, STATES * k : STATES * (k + 1)] = blocks.row[k, m]
     S = H @ prior @ H.T + np.diag(blocks.variance[measured])
     gain = np.linalg.solve(S, H @ prior).T
     state = (gain @ y[measured]).reshape(COUNT, STATES, SIDES)
@@ -72,35 +75,45 @@ def test_against_the_joint_gaussian(rng, start):
     assert np.log(s).sum() == pytest.approx(np.linalg.slogdet(S)[1])
     products = y[measured].T @ np.linalg.solve(S, y[measured])
     assert (e / s[:, None]).T @ e == pytest.approx(products)
-    missing = ~np.isfinite(blocks.variance)
-    assert not smoothed.innovation[missing].any()
-    assert np.isinf(smoothed.variance[missing]).all()
+    assert not smoothed.innovation[~measured].any()
+    assert np.isinf(smoothed.variance[~measured]).all()
+
+
+def test_blocks_with_one_measurement(rng):
+    """A second measurement that is missing everywhere changes nothing."""
+    both, start = drawn_blocks(rng), np.ones(STATES)
+    y = rng.standard_normal((COUNT, MEASURED, SIDES))
+    both.variance[:, 1] = np.inf
+    alone = replace(both, row=both.row[:, :1], variance=both.variance[:, :1])
+    expected, smoothed = smooth(both, y, start), smooth(alone, y[:, :1], start)
+    np.testing.assert_array_equal(smoothed.state, expected.state)
+    np.testing.assert_array_equal(smoothed.innovation, expected.innovation[:, :1])
 
 
 def test_a_right_hand_side_does_not_depend_on_the_others(rng):
     blocks, start = drawn_blocks(rng), np.ones(STATES)
-    y = rng.standard_normal((COUNT, SIDES))
-    together, alone = smooth(blocks, y, start), smooth(blocks, y[:, 2:3], start)
+    y = rng.standard_normal((COUNT, MEASURED, SIDES))
+    together, alone = smooth(blocks, y, start), smooth(blocks, y[:, :, 2:3], start)
     np.testing.assert_array_equal(together.state[:, :, 2], alone.state[:, :, 0])
     np.testing.assert_array_equal(together.covariance, alone.covariance)
 
 
-def test_a_block_without_measurement_may_hold_anything(rng):
+def test_what_is_not_measured_may_hold_anything(rng):
     blocks, start = drawn_blocks(rng), np.ones(STATES)
-    y = rng.standard_normal((COUNT, SIDES))
+    y = rng.standard_normal((COUNT, MEASURED, SIDES))
     expected = smooth(blocks, y, start)
-    y[[3, 4, 12]] = np.nan
+    y[MISSING] = np.nan
     np.testing.assert_array_equal(smooth(blocks, y, start).state, expected.state)
 
 
 def test_bad_input(rng):
     blocks, start = drawn_blocks(rng), np.ones(STATES)
-    y = rng.standard_normal((COUNT, SIDES))
-    with pytest.raises(ModelError, match="row of measurements per block"):
+    y = rng.standard_normal((COUNT, MEASURED, SIDES))
+    with pytest.raises(ModelError, match="measurements of shape"):
         smooth(blocks, y[1:], start)
     with pytest.raises(ModelError, match="6 variances"):
         smooth(blocks, y, start[1:])
-    y[0, 0] = np.nan
+    y[0, 0, 0] = np.nan
     with pytest.raises(ModelError, match="measurement of the smoother is not finite"):
         smooth(blocks, y, start)
     blocks.variance[5] = 0.0

@@ -143,6 +143,13 @@ ITEMS = (
         ("harmonics",),
     ),
     Item(
+        "axis of the injection",
+        ("tilt",),
+        "0.3°: cross-saturation, eddy currents, and inverter loss that alternates with the ripple",
+        "give a flux map, which contains cross-saturation",
+        ("tilt",),
+    ),
+    Item(
         "rotor",
         ("R_R", "L_M"),
         "30 % of R_R, 25 % of L_M: temperature and saturation",
@@ -176,6 +183,7 @@ GIVEN: dict[str, tuple[tuple[str, ...], str]] = {
     "L_q": (("L_q",), "share"),
     "saturation": (("saturation_d", "saturation_q"), "1"),
     "harmonics": (("fifth", "seventh"), "share"),
+    "tilt": (("tilt",), "rad"),
     "R_R": (("R_R",), "share"),
     "L_M": (("L_M",), "share"),
     "voltage_scale": ((), "1"),
@@ -195,6 +203,8 @@ IRON_LOSS_SHARE = 0.02
 LINK_SAG_STD = 0.01
 INDUCTANCE_SHARE = 0.1
 HARMONIC_STD = 0.015
+#: Tilt of the axis that an injected current shows [rad], as in the adaptive observer.
+TILT_STD = np.pi / 600
 ROTOR_RESISTANCE_SHARE, MAGNETIZING_SHARE = 0.3, 0.25
 #: Standard deviation of the bend of the inverter's loss over the current [1].
 CURVE_STD = 1.0
@@ -245,6 +255,7 @@ def prior_stds(
     )
     stds["L_d"] = L_d
     stds["L_q"] = 0.0 if one_inductance(machine) else L_q
+    stds["tilt"] = TILT_STD if shows_direction(machine) else 0.0
     if isinstance(machine, InductionMachine):
         share = ROTOR_RESISTANCE_SHARE if machine.R_R_std is None else machine.R_R_std / machine.R_R
         stds["R_R"], stds["L_M"] = share, MAGNETIZING_SHARE
@@ -302,11 +313,19 @@ def check_given(machine: RotatingMachine, given: Iterable[str]) -> None:
         "L_M": ("no cage", not isinstance(machine, InductionMachine)),
         "L_q": ("only one inductance: give L_d", single),
         "saturation": ("no saliency, or a flux map", single or machine.saturation is not None),
+        "tilt": ("no saliency", not shows_direction(machine)),
     }
     for name in given:
         reason, is_lacking = lacking.get(name, ("", False))
         if is_lacking:
             raise MachineError(f"prior {name}: this machine ({machine.kind}) has {reason}")
+
+
+def shows_direction(machine: RotatingMachine) -> bool:
+    """Whether an injected current shows the direction of the flux: the machine is salient."""
+    if isinstance(machine, InductionMachine):
+        return False
+    return not one_inductance(machine) or machine.saturation is not None
 
 
 def one_inductance(machine: RotatingMachine) -> bool:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from .. import _smoother
 from ..core.arrays import Array
-from ..logs.quality.marks import NO_MEASUREMENT, floating_of
+from ..logs.quality.marks import INJECTED, NO_MEASUREMENT, floating_of
 from ..logs.scales import Scales
 from ..machines import InductionMachine, RotatingMachine
 from ..machines.model.flux_map import LinearMap
-from .assumptions import NAMES, one_inductance, prior_stds
+from .assumptions import NAMES, one_inductance, prior_stds, shows_direction
 
 #: Outputs of a row, in the order of the C code.
 OUTPUTS: tuple[str, ...] = tuple(_smoother.outputs.split())
@@ -118,6 +118,7 @@ class SmoothingModel:
             "psi_rate": PSI_RATE,
             "resistance_rate": RESISTANCE_RATE,
             "rotor_flux_start": 1.0,
+            "injection": float(shows_direction(machine)),
         }
         flux_map = machine.map_for(sample_time, flux_base)
         if flux_map is None or (machine.saturation is None and not cage):
@@ -255,6 +256,8 @@ def smooth_record(
         Where learning starts; without learning, what is assumed.
     learning : bool
     """
+    if not (samples.marks & INJECTED).any():
+        model = model.with_numbers(injection=0.0)
     numbers = np.array([model.numbers[name] for name in MODEL_FIELDS], float)
     stds = np.array([model.stds[name] for name in NAMES], float)
     flux_map = np.array([model.map[name] for name in MAP_FIELDS], float)

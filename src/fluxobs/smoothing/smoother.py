@@ -17,13 +17,14 @@ from .. import _smoother
 from ..core.arrays import Array
 from ..errors import ModelError
 
-#: Number of states.
+#: Numbers of states, and of measurements of a block at most.
 STATES: int = _smoother.states
+MEASUREMENTS: int = _smoother.measurements
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Blocks of samples, each with one measurement.
+    """Blocks of samples, each with `measurements` measurements, at most MEASUREMENTS.
 
     Parameters
     ----------
@@ -36,10 +37,10 @@ class Blocks:
     walk : (blocks, 4) ndarray
         Variance gained since the previous block by a component of the flux, a component of the
         drift, the magnet flux, and the resistance; >= 0.
-    row : (blocks, 6) ndarray
-        Measurement as a linear function of the state.
-    variance : (blocks,) ndarray
-        Variance of the measurement, > 0; infinite without measurement.
+    row : (blocks, measurements, 6) ndarray
+        Measurements as linear functions of the state.
+    variance : (blocks, measurements) ndarray
+        Variance of a measurement, > 0; infinite without it. Errors of measurements are independent.
     """
 
     duration: Array
@@ -57,19 +58,22 @@ class Blocks:
         ModelError
             A variance is not positive, or a number is missing.
         """
+        blocks, count = self.variance.shape
         columns = (
             self.duration[:, None],
             self.coupling,
             self.decay[:, None],
             self.walk,
-            np.zeros((len(self.duration), 3)),
-            self.row,
-            self.variance[:, None],
+            np.zeros((blocks, 3)),
+            self.row.reshape(blocks, -1),
+            np.zeros((blocks, (MEASUREMENTS - count) * STATES)),
         )
-        table = np.ascontiguousarray(np.concatenate(columns, axis=1), float)
-        if not (np.isfinite(table[:, :-1]).all() and (self.variance > 0).all()):
+        known = np.concatenate(columns, axis=1)
+        missing = np.full((blocks, MEASUREMENTS - count), np.inf)
+        table = np.concatenate([known, self.variance, missing], axis=1)
+        if not (np.isfinite(known).all() and (self.variance > 0).all()):
             raise ModelError("the smoother needs finite blocks and positive variances")
-        return table
+        return np.ascontiguousarray(table, float)
 
 
 class Smoothed(NamedTuple):
@@ -81,9 +85,9 @@ class Smoothed(NamedTuple):
         State for each right-hand side, given all measurements.
     covariance : (blocks, 6, 6) ndarray
         Covariance of the state, equal for all right-hand sides.
-    innovation : (blocks, sides) ndarray
-        Measurement less its prediction from earlier blocks; 0 without measurement.
-    variance : (blocks,) ndarray
+    innovation : (blocks, measurements, sides) ndarray
+        Measurement less its prediction from earlier ones; 0 without measurement.
+    variance : (blocks, measurements) ndarray
         Variance of the innovation; infinite without measurement.
     """
 
@@ -103,7 +107,7 @@ def smooth(blocks: Blocks, measured: Array, start: Array) -> Smoothed:
     Parameters
     ----------
     blocks : Blocks
-    measured : (blocks, sides) ndarray
+    measured : (blocks, measurements, sides) ndarray
         Measurements of each right-hand side.
     start : (6,) ndarray
         Variance of each state in the first block before its measurement; the mean is zero.
@@ -120,10 +124,11 @@ def smooth(blocks: Blocks, measured: Array, start: Array) -> Smoothed:
     doi:10.1109/TAC.1969.1099223.
     """
     table = blocks.table()
-    if measured.ndim != 2 or len(measured) != len(table) or np.shape(start) != (STATES,):
+    shape = blocks.variance.shape
+    if measured.ndim != 3 or measured.shape[:2] != shape or np.shape(start) != (STATES,):
         raise ModelError(
-            f"the smoother needs a row of measurements per block and {STATES} variances, got "
-            f"{measured.shape} for {len(table)} blocks and {np.shape(start)}"
+            f"the smoother needs measurements of shape {shape} for each right-hand side and "
+            f"{STATES} variances, got {measured.shape} and {np.shape(start)}"
         )
     sides = np.ascontiguousarray(measured, float)
     if not np.isfinite(sides[np.isfinite(blocks.variance)]).all():
