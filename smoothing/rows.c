@@ -318,20 +318,21 @@ static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
  *
  *     a(i) = F(i) + j J (j i),  M d = J d + j J (j d),
  *
- * whatever the flux. M is symmetric without trace, |M d| = m |d|, and zero without saliency. A change
- * of the current in any direction so shows the angle. */
+ * whatever the flux. M is symmetric without trace, and zero without saliency. A change of the current
+ * in any direction so shows the angle. d is computed from the volt-seconds, d = J⁻¹ Δλ: the noise of
+ * the current would be in M d and in the residual. */
 
 /* Fewest rows of a measurement of the direction. */
 enum { DIRECTION_ROWS = 16 };
-/* The measurement is used if this share of the squared changes is not noise. */
-#define RIPPLE_MIN 0.5
+/* The measurement is used if the squared changes are this multiple of those of the noise. */
+#define RIPPLE_MIN 1.0
 /* Correlation of a change with the one before, at most: it is -1 at half the sampling rate, 0 at a
- * quarter, -1/2 for noise, and near 1 for loads and unequal sensors, which also change the residual. */
+ * quarter, and near 1 for loads and unequal sensors, which also change the residual. */
 #define ALTERNATING_MIN 0.25
 
 /* What a row contributes; vectors in rotor coordinates. */
 typedef struct {
-    vec rest, current, auxiliary; /* residual [Wb], current [A], a [Wb] */
+    vec rest, flux, auxiliary;    /* residual, flux, and a [Wb] */
     double angle;                 /* [rad] */
     vec direction;                /* of the rotor, in stator coordinates */
     vec total[FO_P], change[FO_P]; /* derivatives of the flux and of the relation by assumptions */
@@ -342,9 +343,9 @@ typedef struct {
     ripple_row last;
     bool seen;
     vec response;                     /* last M d */
-    double rows, product, square, lagged, saliency, size, reference, across_psi;
-    double noise, noise_d, noise_q;   /* squares of the noise in `product`, and its products with the
-                                       * noise in the derivatives by L_d and L_q */
+    double rows, product, square, lagged, size, reference, across_psi;
+    double saliency;                  /* squares of M */
+    double noise, noise_d, noise_q;   /* squares of the noise in `product`; of it from L_d, L_q */
     vec across, across_by_time;       /* derivative of the angle by the flux [rad/Wb] */
     double of_angle[FO_P], direct[FO_P]; /* derivatives of the angle, and of `product` */
 } ripple;
@@ -368,31 +369,29 @@ static void add_ripple(const fo_work *w, ripple *s, const ripple_row *now, const
         const double away = 0.5 * (wrapped(now->angle - last->angle) - rotation);
         const vec middle = vec_of(1.0, -away), /* conj(1 + j away) to the middle of the two angles */
             turn_now = conjugate(middle), turn_last = middle;
-        const vec d = minus(product(now->current, turn_now), product(last->current, turn_last));
+        const vec gain = minus(product(now->flux, turn_now), product(last->flux, turn_last));
+        const double determinant = f->by_d.re * f->by_q.im - f->by_d.im * f->by_q.re,
+                     inverse = determinant > 0.0 ? 1.0 / determinant : 0.0;
+        const vec d = times(inverse, vec_of(f->by_q.im * gain.re - f->by_q.re * gain.im,
+                                            f->by_d.re * gain.im - f->by_d.im * gain.re));
         /* M d */
         const double even = f->by_d.re - f->by_q.im, odd = f->by_q.re + f->by_d.im;
         const vec response = vec_of(even * d.re + odd * d.im, odd * d.re - even * d.im),
                   beside = turned(response);
         const vec rest = plus(minus(now->rest, last->rest),
                               times(away, turned(plus(now->auxiliary, last->auxiliary))));
-        const double square = dot(response, response), over = square > 0.0 ? 1.0 / sqrt(square) : 0.0,
-                     by_d = over * dot(f->by_d, beside), by_q = over * dot(f->by_q, beside);
-        /* Derivatives of J d by the scales of L_d and L_q: its components. Their products with M d
-         * contain the noise of J d and that of M d. */
-        const vec flux = plus(times(d.re, f->by_d), times(d.im, f->by_q));
-        const vec noise = vec_of(by_d, by_q),
-                  noise_d = vec_of(beside.re * f->by_d.re - odd * flux.re,
-                                   beside.re * f->by_q.re + even * flux.re),
-                  noise_q = vec_of(beside.im * f->by_d.im + even * flux.im,
-                                   beside.im * f->by_q.im + odd * flux.im);
+        const double square = dot(response, response), over = square > 0.0 ? 1.0 / sqrt(square) : 0.0;
+        const vec noise_d = times(over * beside.re, vec_of(f->by_d.re, f->by_q.re)),
+                  noise_q = times(over * beside.im, vec_of(f->by_d.im, f->by_q.im)),
+                  noise = plus(noise_d, noise_q);
         s->rows += 1.0;
         s->product -= dot(rest, beside);
         s->square += square;
         s->lagged += dot(response, s->response);
         s->saliency += even * even + odd * odd;
         s->noise += dot(noise, noise);
-        s->noise_d += over * dot(noise, noise_d);
-        s->noise_q += over * dot(noise, noise_q);
+        s->noise_d += dot(noise, noise_d);
+        s->noise_q += dot(noise, noise_q);
         s->size += length_of(now->auxiliary);
         s->reference += facts->reference;
         s->across = plus(s->across, facts->across);
@@ -413,18 +412,14 @@ static void add_ripple(const fo_work *w, ripple *s, const ripple_row *now, const
     s->last = *now;
 }
 
-/* Noise of the current is in the changes, too, but does not respond to an error of the angle: the
- * squares without it are the denominator. */
 static void finish_direction(fo_work *w, const double p[FO_P], size_t b, ripple *s)
 {
     const fo_model *m = w->model;
     fo_block_facts *about = &w->about[b];
     about->noise[FO_DIRECTION] = 0.0;
     if (s->rows < DIRECTION_ROWS) return;
-    const double noise = m->current_noise * m->current_noise,
-                 saliency = s->square > 0.0 ? s->saliency / s->rows : 0.0;
-    const double true_square = s->square - 4.0 * s->rows * saliency * noise;
-    if (s->square > 0.0 && true_square > RIPPLE_MIN * s->square &&
+    const double noise = m->current_noise * m->current_noise;
+    if (s->square > RIPPLE_MIN * 4.0 * noise * s->saliency && s->square > 0.0 &&
         s->lagged < ALTERNATING_MIN * s->square) {
         const double over = 1.0 / s->rows, size = over * s->size, scale = over * size;
         double *row = w->block[b].row[FO_DIRECTION],
@@ -435,14 +430,14 @@ static void finish_direction(fo_work *w, const double p[FO_P], size_t b, ripple 
         row[3] = scale * s->across_by_time.im;
         row[4] = scale * s->across_psi;
         row[5] = 0.0;
-        measured[0] = scale * s->reference - size * (s->product / true_square + p[FO_P_tilt]);
+        measured[0] = scale * s->reference - size * (s->product / s->square + p[FO_P_tilt]);
         for (size_t n = 0; n < w->columns; n++) {
             const int j = w->active[n];
             const double by_angle = over * s->of_angle[j], direct = s->direct[j] / s->square;
             measured[1 + n] = -size * (j == FO_P_tilt ? 1.0 : by_angle + direct);
         }
         about->noise[FO_DIRECTION] = size * size * 2.0 * noise * over * s->noise *
-                                     (s->square - s->lagged) / (true_square * true_square);
+                                     (s->square - s->lagged) / (s->square * s->square);
         about->share_d[FO_DIRECTION] = s->noise_d / s->noise / (1.0 + p[FO_P_L_d]);
         about->share_q[FO_DIRECTION] = s->noise_q / s->noise / (1.0 + p[FO_P_L_q]);
     }
@@ -562,7 +557,8 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
             const bool is_measured = fo_is_measured(&w->record, k);
             s.usable = s.usable && is_measured;
             if (injection) {
-                ripple_row now = {times(residual, f.along), i_dq, times(f.size, f.along),
+                ripple_row now = {times(residual, f.along), product(lambda, conjugate(direction)),
+                                  times(f.size, f.along),
                                   w->angle[k], direction, {{0.0, 0.0}}, {{0.0, 0.0}}};
                 memcpy(now.total, total, sizeof total);
                 memcpy(now.change, change, sizeof change);
