@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "direction.h"
+
 /* Knees of the hard and of the soft sign of the inverter's loss, as shares of the rated current.
  * With 0.01 and 0.06 the loss of a measured drive looks like a resistance: its angle is 3 degrees
  * off, against 1 (benchmarks/measured.py). */
@@ -311,117 +313,64 @@ static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
     }
 }
 
-/* ---- direction ------------------------------------------------------------------------------- *
- *
- * An error e of the angle leaves the residual -j e a of the relation, in rotor coordinates. If the
- * current changes by d, the residual changes by -j e M d, with
- *
- *     a(i) = F(i) + j J (j i),  M d = J d + j J (j d),
- *
- * whatever the flux. M is symmetric without trace, and zero without saliency. A change of the current
- * in any direction so shows the angle. d is computed from the volt-seconds, d = J⁻¹ Δλ: the noise of
- * the current would be in M d and in the residual. */
+/* ---- measurement of the direction ------------------------------------------------------------ */
 
 /* Fewest rows of a measurement of the direction. */
 enum { DIRECTION_ROWS = 16 };
-/* The measurement is used if the squared changes are this multiple of those of the noise. */
-#define RIPPLE_MIN 1.0
-/* Correlation of a change with the one before, at most: it is -1 at half the sampling rate, 0 at a
- * quarter, and near 1 for loads and unequal sensors, which also change the residual. */
-#define ALTERNATING_MIN 0.25
 
-/* What a row contributes; vectors in rotor coordinates. */
+/* What the angle of a row depends on, and derivatives by the assumptions of the flux in stator
+ * coordinates and of the relation in rotor coordinates. */
 typedef struct {
-    vec rest, flux, auxiliary;    /* residual, flux, and a [Wb] */
-    double angle;                 /* [rad] */
-    vec direction;                /* of the rotor, in stator coordinates */
-    vec total[FO_P], change[FO_P]; /* derivatives of the flux and of the relation by assumptions */
-} ripple_row;
-
-/* Sums over the changes from row to row. */
-typedef struct {
-    ripple_row last;
-    bool seen;
-    vec response;                     /* last M d */
-    double rows, product, square, lagged, size, reference, across_psi;
-    double saliency;                  /* squares of M */
-    double noise, noise_d, noise_q;   /* squares of the noise in `product`; of it from L_d, L_q */
-    vec across, across_by_time;       /* derivative of the angle by the flux [rad/Wb] */
-    double of_angle[FO_P], direct[FO_P]; /* derivatives of the angle, and of `product` */
-} ripple;
-
-/* What a row's angle depends on. */
-typedef struct {
+    vec direction;          /* of the rotor */
     vec across;             /* derivatives of the angle by the flux [rad/Wb], */
     double across_psi;      /* by the magnet flux [rad/Wb], */
     double column[FO_P];    /* by the assumptions */
     double reference;       /* part of the angle that the reference's corrections cause [rad] */
     double time;            /* from the middle of the block [s] */
+    vec total[FO_P], change[FO_P];
 } angle_facts;
 
-/* `rotation`: of the rotor within a sample [rad]. Both rows are seen from the angle between theirs,
- * since the noise of the current is in each row's own angle. */
-static void add_ripple(const fo_work *w, ripple *s, const ripple_row *now, const fo_relation *f,
-                       const angle_facts *facts, bool measured, double rotation)
+/* Sums over the rows of a measurement. */
+typedef struct {
+    fo_ripple ripple;
+    vec total[FO_P], change[FO_P]; /* of the last row */
+    vec across, across_by_time;
+    double across_psi, reference;
+    double of_angle[FO_P], direct[FO_P]; /* derivatives of the angle, and of the ripple's product */
+} direction_sums;
+
+static void add_direction(const fo_work *w, direction_sums *s, const fo_ripple_row *now,
+                          const fo_relation *f, const fo_relation *given, const angle_facts *facts,
+                          bool measured, double rotation)
 {
-    if (measured && s->seen) {
-        const ripple_row *last = &s->last;
-        const double away = 0.5 * (wrapped(now->angle - last->angle) - rotation);
-        const vec middle = vec_of(1.0, -away), /* conj(1 + j away) to the middle of the two angles */
-            turn_now = conjugate(middle), turn_last = middle;
-        const vec gain = minus(product(now->flux, turn_now), product(last->flux, turn_last));
-        const double determinant = f->by_d.re * f->by_q.im - f->by_d.im * f->by_q.re,
-                     inverse = determinant > 0.0 ? 1.0 / determinant : 0.0;
-        const vec d = times(inverse, vec_of(f->by_q.im * gain.re - f->by_q.re * gain.im,
-                                            f->by_d.re * gain.im - f->by_d.im * gain.re));
-        /* M d */
-        const double even = f->by_d.re - f->by_q.im, odd = f->by_q.re + f->by_d.im;
-        const vec response = vec_of(even * d.re + odd * d.im, odd * d.re - even * d.im),
-                  beside = turned(response);
-        const vec rest = plus(minus(now->rest, last->rest),
-                              times(away, turned(plus(now->auxiliary, last->auxiliary))));
-        const double square = dot(response, response), over = square > 0.0 ? 1.0 / sqrt(square) : 0.0;
-        const vec noise_d = times(over * beside.re, vec_of(f->by_d.re, f->by_q.re)),
-                  noise_q = times(over * beside.im, vec_of(f->by_d.im, f->by_q.im)),
-                  noise = plus(noise_d, noise_q);
-        s->rows += 1.0;
-        s->product -= dot(rest, beside);
-        s->square += square;
-        s->lagged += dot(response, s->response);
-        s->saliency += even * even + odd * odd;
-        s->noise += dot(noise, noise);
-        s->noise_d += dot(noise, noise_d);
-        s->noise_q += dot(noise, noise_q);
-        s->size += length_of(now->auxiliary);
+    if (fo_add_ripple(&s->ripple, now, f, given, measured, rotation)) {
+        const vec beside = turned(s->ripple.response);
         s->reference += facts->reference;
         s->across = plus(s->across, facts->across);
         s->across_by_time = plus(s->across_by_time, times(facts->time, facts->across));
         s->across_psi += facts->across_psi;
         for (size_t n = 0; n < w->columns; n++) {
             const int j = w->active[n];
-            const vec gained = product(minus(now->total[j], last->total[j]), conjugate(now->direction)),
-                      changed = minus(now->change[j], last->change[j]);
+            const vec gained =
+                product(minus(facts->total[j], s->total[j]), conjugate(facts->direction));
+            const vec changed = minus(facts->change[j], s->change[j]);
             s->of_angle[j] += facts->column[n];
             s->direct[j] -= dot(minus(gained, changed), beside);
         }
-        s->response = response;
-    } else {
-        s->response = vec_of(0.0, 0.0);
     }
-    s->seen = measured;
-    s->last = *now;
+    memcpy(s->total, facts->total, sizeof s->total);
+    memcpy(s->change, facts->change, sizeof s->change);
 }
 
-static void finish_direction(fo_work *w, const double p[FO_P], size_t b, ripple *s)
+static void finish_direction(fo_work *w, const double p[FO_P], size_t b, direction_sums *s)
 {
     const fo_model *m = w->model;
+    const fo_ripple *r = &s->ripple;
     fo_block_facts *about = &w->about[b];
     about->noise[FO_DIRECTION] = 0.0;
-    if (s->rows < DIRECTION_ROWS) return;
-    const double noise = m->current_noise * m->current_noise;
-    if (s->square > RIPPLE_MIN * 4.0 * noise * s->saliency && s->square > 0.0 &&
-        s->lagged < ALTERNATING_MIN * s->square) {
-        const double over = 1.0 / s->rows, size = over * s->size, scale = over * size;
+    if (r->rows < DIRECTION_ROWS) return;
+    if (fo_shows_direction(m, r)) {
+        const double over = 1.0 / r->rows, size = over * r->size, scale = over * size;
         double *row = w->block[b].row[FO_DIRECTION],
                *measured = w->measured + (b * w->measurements + FO_DIRECTION) * (1 + w->columns);
         row[0] = scale * s->across.re;
@@ -430,23 +379,22 @@ static void finish_direction(fo_work *w, const double p[FO_P], size_t b, ripple 
         row[3] = scale * s->across_by_time.im;
         row[4] = scale * s->across_psi;
         row[5] = 0.0;
-        measured[0] = scale * s->reference - size * (s->product / s->square + p[FO_P_tilt]);
+        measured[0] = scale * s->reference - size * (fo_direction_error(r) + p[FO_P_tilt]);
         for (size_t n = 0; n < w->columns; n++) {
             const int j = w->active[n];
-            const double by_angle = over * s->of_angle[j], direct = s->direct[j] / s->square;
+            const double by_angle = over * s->of_angle[j], direct = s->direct[j] / r->square;
             measured[1 + n] = -size * (j == FO_P_tilt ? 1.0 : by_angle + direct);
         }
-        about->noise[FO_DIRECTION] = size * size * 2.0 * noise * over * s->noise *
-                                     (s->square - s->lagged) / (s->square * s->square);
-        about->share_d[FO_DIRECTION] = s->noise_d / s->noise / (1.0 + p[FO_P_L_d]);
-        about->share_q[FO_DIRECTION] = s->noise_q / s->noise / (1.0 + p[FO_P_L_q]);
+        about->noise[FO_DIRECTION] = size * size * fo_direction_variance(m, r);
+        about->saliency_variance = fo_saliency_variance(m, r);
+        about->share_d[FO_DIRECTION] = r->noise_d / r->noise / (1.0 + p[FO_P_L_d]);
+        about->share_q[FO_DIRECTION] = r->noise_q / r->noise / (1.0 + p[FO_P_L_q]);
     }
-    ripple next;
-    memset(&next, 0, sizeof next);
-    next.last = s->last;
-    next.seen = s->seen;
-    next.response = s->response;
-    *s = next;
+    fo_next_ripple(&s->ripple);
+    s->across = s->across_by_time = vec_of(0.0, 0.0);
+    s->across_psi = s->reference = 0.0;
+    memset(s->of_angle, 0, sizeof s->of_angle);
+    memset(s->direct, 0, sizeof s->direct);
 }
 
 void fo_fit_speed(fo_work *w)
@@ -480,9 +428,10 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
     memset(change, 0, sizeof change);
     sums s;
     memset(&s, 0, sizeof s);
-    ripple changes;
+    direction_sums changes;
     memset(&changes, 0, sizeof changes);
     const bool injection = w->measurements > FO_DIRECTION;
+    static const double as_given[FO_P] = {0.0};
     for (size_t k = 0; k < w->record.rows; k++) {
         const size_t b = k / w->per_block, inside = k % w->per_block;
         const bool counts = b < w->blocks;
@@ -524,7 +473,11 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
         const double over = 1.0 / f.size, d = dot(f.by_d, f.along), q = dot(f.by_q, f.along),
                      across_d = dot(f.by_d, athwart), across_q = dot(f.by_q, athwart);
         if (counts) {
-            angle_facts facts = {times(over, beside), -over * athwart.re, {0.0}, 0.0, since};
+            angle_facts facts;
+            facts.direction = direction;
+            facts.across = times(over, beside);
+            facts.across_psi = -over * athwart.re;
+            facts.time = since;
             facts.reference =
                 dot(facts.across, correction) + facts.across_psi * (psi - reference);
             for (size_t n = 0; n < w->columns; n++) {
@@ -557,12 +510,14 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
             const bool is_measured = fo_is_measured(&w->record, k);
             s.usable = s.usable && is_measured;
             if (injection) {
-                ripple_row now = {times(residual, f.along), product(lambda, conjugate(direction)),
-                                  times(f.size, f.along),
-                                  w->angle[k], direction, {{0.0, 0.0}}, {{0.0, 0.0}}};
-                memcpy(now.total, total, sizeof total);
-                memcpy(now.change, change, sizeof change);
-                add_ripple(w, &changes, &now, &f, &facts, is_measured, speed * h);
+                const fo_ripple_row now = {times(residual, f.along),
+                                           product(lambda, conjugate(direction)),
+                                           times(f.size, f.along), w->angle[k]};
+                memcpy(facts.total, total, sizeof total);
+                memcpy(facts.change, change, sizeof change);
+                fo_relation given;
+                fo_relate(m, as_given, psi, i_dq, direction, &given);
+                add_direction(w, &changes, &now, &f, &given, &facts, is_measured, speed * h);
             }
             if (inside + 1 == w->per_block) {
                 finish(w, b, &s, total);

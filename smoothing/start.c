@@ -3,6 +3,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "direction.h"
+
 enum { S = 4, DRIFT = 2 };
 
 /* Model errors of two rows are independent if the rotor turned by this angle between them: a
@@ -14,6 +16,8 @@ enum { S = 4, DRIFT = 2 };
 #define ANCHOR_ROWS 30.0
 /* Time constant of the unmodelled inverter loss [s]: about a turn at half speed. */
 #define LOSS_TIME 2e-3
+/* Fewest changes of the current in a block that measure the direction. */
+#define DIRECTION_ROWS 7.0
 /* Blocks without an anchor over which the flux correction is interpolated. */
 enum { LONGEST_GAP = 8 };
 /* Gain of the speed that predicts the next row's angle. */
@@ -84,7 +88,10 @@ static void filter_block(const fo_work *w, const double p[FO_P], const start_rec
     const double h = m->sample_time, half = 0.5 * (double)(n - 1);
     double rest = 0.0, row[S] = {0.0, 0.0, 0.0, 0.0}, at_start = f->angle, noise = 0.0;
     size_t measured = 0, anchored = 0;
-    vec anchor = {0.0, 0.0};
+    vec anchor = {0.0, 0.0}, across = {0.0, 0.0};
+    fo_ripple ripple;
+    memset(&ripple, 0, sizeof ripple);
+    double current = 0.0;
     for (size_t j = 0; j < n; j++) {
         const size_t k = first + (sign > 0 ? j : n - 1 - j);
         const double since = ((double)(k - first) - half) * h;
@@ -99,6 +106,13 @@ static void filter_block(const fo_work *w, const double p[FO_P], const start_rec
         f->angle = guess;
         f->speed += SPEED_GAIN * ((f->angle - old) / (h * sign) - f->speed);
         angle[k] = f->angle;
+        current += length_of(r->current[k]) / (double)n;
+        if (w->measurements > FO_DIRECTION) {
+            const fo_ripple_row now = {times(residual, at.along), product(flux, conjugate(rotor)),
+                                       times(at.size, at.along), f->angle};
+            across = plus(across, product(turned(at.along), rotor));
+            fo_add_ripple(&ripple, &now, &at, &at, fo_is_measured(&w->record, k), f->speed * h * sign);
+        }
         if (fo_is_measured(&w->record, k)) {
             const vec along = product(at.along, rotor);
             const double d = dot(at.by_d, at.along), q = dot(at.by_q, at.along);
@@ -121,6 +135,22 @@ static void filter_block(const fo_work *w, const double p[FO_P], const start_rec
         noise *= m->current_noise * m->current_noise * over * over;
         filter_update(f, row, -rest * over,
                       noise + fo_model_variance(m, fabs(f->angle - at_start) + 1e-9));
+    }
+    if (f->seen && ripple.rows >= DIRECTION_ROWS && fo_shows_direction(m, &ripple)) {
+        /* The drift follows a wrong voltage too slowly: its prior error acts within the block. */
+        const double R_error = m->std[FO_P_resistance] * current,
+                     loss_error = m->std[FO_P_inverter_hard],
+                     step = h * (double)n, gained = step * step * (R_error * R_error +
+                                                                   loss_error * loss_error);
+        const double size = ripple.size / ripple.rows, tilt = m->std[FO_P_tilt],
+                     length = length_of(across);
+        const double direction[S] = {across.re / length, across.im / length, 0.0, 0.0};
+        f->p[0][0] += gained;
+        f->p[1][1] += gained;
+        filter_update(f, direction, -size * fo_direction_error(&ripple),
+                      size * size * (fo_direction_variance(m, &ripple) *
+                                         (1.0 + fo_saliency_variance(m, &ripple)) +
+                                     tilt * tilt));
     }
     if (2 * anchored > n) {
         const size_t middle = first + n / 2, edge = sign > 0 ? first + n - 1 : first;

@@ -27,14 +27,17 @@ RNG = np.random.default_rng(5)
 
 
 def test_paired_rows_reach_from_the_first_to_the_last_row():
-    rows = paired_rows(1001)
+    rows = paired_rows(1001, 1)
     assert len(rows) == 200
     assert (rows[0], rows[-1]) == (0, 1000)
     np.testing.assert_array_equal(rows[1::2], rows[::2] + 1)
     assert set(np.diff(rows[::2])) <= {10, 11}
-    np.testing.assert_array_equal(paired_rows(8), [0, 1, 2, 3, 4, 5, 6, 7])
-    assert len(paired_rows(200)) == len(paired_rows(201)) == 200
-    assert len(paired_rows(199)) == 198
+    np.testing.assert_array_equal(paired_rows(8, 1), [0, 1, 2, 3, 4, 5, 6, 7])
+    assert len(paired_rows(200, 1)) == len(paired_rows(201, 1)) == 200
+    assert len(paired_rows(199, 1)) == 198
+    rows = paired_rows(1001, 4)
+    assert (rows[0], rows[-1]) == (0, 1000)
+    np.testing.assert_array_equal(rows[1::2], rows[::2] + 4)
 
 
 def test_integrals_start_at_the_first_row():
@@ -43,7 +46,7 @@ def test_integrals_start_at_the_first_row():
     voltage = RNG.standard_normal(shape) + 1j * RNG.standard_normal(shape)
     data = Segments(H, current, {0: voltage}, None)
     integrated = integrate_segments(data, voltage, current, 0.3)
-    rows = paired_rows(30)
+    rows = paired_rows(30, 1)
     np.testing.assert_allclose(integrated.t, np.tile(H * rows, (2, 1)))
     np.testing.assert_array_equal(integrated.current, current[:, rows])
     assert integrated.size == pytest.approx(np.abs(voltage).mean())
@@ -115,7 +118,7 @@ def record(machine, i_dq=2 + 3j, inverter=0.0, noise=0.0, speeds=(200.0, -300.0,
     sign = np.cumsum(sign, axis=1) - sign[:, :1]
     size = 100.0
     voltage = flux - flux[:, :1] + machine.R_s * charge + inverter * size * sign
-    rows = paired_rows(600)
+    rows = paired_rows(600, 1)
     i = i + noise * (RNG.standard_normal(i.shape) + 1j * RNG.standard_normal(i.shape))
     cut = [values[:, rows] for values in (t, i, voltage, charge, sign)]
     return SegmentRows(*cut, size), turn[:, rows], flux[:, :1]

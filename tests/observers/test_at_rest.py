@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fluxobs.machines import example
-from support.at_rest import H, estimate_at_rest, interior
+from support.at_rest import H, estimate_at_rest, interior, record_at_rest
 
 TURNING, END = 0.8, 4.0
 
@@ -13,9 +13,14 @@ def run(machine, creep=0.0, **conditions):
     """Return (errors in degrees, stds, valid) from half a second after the rotor has stopped."""
     t = H * np.arange(round(END / H))
     speed = np.interp(t, [0, TURNING, TURNING + 0.2], [0.3, 0.3, creep])
-    error, estimate = estimate_at_rest(machine, speed, seed=5, **conditions)
+    record = record_at_rest(machine, speed, seed=5, **conditions)
+    estimate = estimate_at_rest(record)
     later = t > TURNING + 0.5
-    return error[later], np.degrees(estimate.theta_e_std)[later], estimate.valid[later]
+    return (
+        record.errors(estimate.theta_e)[later],
+        np.degrees(estimate.theta_e_std)[later],
+        estimate.valid[later],
+    )
 
 
 @pytest.mark.parametrize(
@@ -45,7 +50,7 @@ def test_the_position_at_rest_under_load_steps(machine, options, rms, worst):
     [
         (interior(1.5), {"ripple": 0.0}),
         (interior(1.5), {"ripple": 0.0, "noise": 0.01}),  # noise ripples the length, too
-        (interior(1.5), {"ripple": 0.02, "period": 400}),  # a ripple at 25 Hz
+        (interior(1.5), {"wave": np.repeat([1, -1], 200)}),  # a ripple at 25 Hz
         (example("pmsm-2kw2"), {}),  # the length of a surface machine does not depend on i_d
     ],
     ids=["nothing", "noise", "slow", "surface"],

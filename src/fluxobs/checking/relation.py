@@ -3,7 +3,9 @@
 The flux of a segment is λ = λ₀ + ∫ (u - R i - V_d S) dt + θ t; each segment has its own λ₀ and θ.
 The residual is r = |x| - ψ - (L_d - L_q) i_d, where x = λ - L_q i (docs/theory.md, section 13).
 Noise of the current increases r² by (L σ)² and would bias L downwards. The cost therefore replaces
-r² by the product of the residuals of two neighbouring rows, whose noises are independent.
+r² by the product of the residuals of two neighbouring rows, whose noises are independent. In a log
+with injection the two rows are a period of the injected signal apart: the residual of a wrong lag
+alternates with it.
 
 ln R, ln L, ln ψ and V_d are unknown as well, with a prior around the machine file's values. The
 cost is the misfit plus the distance from the prior. This sum is -2 ln of the posterior, so the
@@ -93,10 +95,10 @@ class RelationFit:
     position: Complex
 
 
-def paired_rows(count: int) -> NDArray[np.intp]:
-    """Return the rows that the fit uses in a segment of `count` rows: pairs of neighbours."""
-    even = np.linspace(0, count - 2, min(PAIRS, count // 2)).astype(int)
-    return np.stack([even, even + 1], axis=1).ravel()
+def paired_rows(count: int, apart: int) -> NDArray[np.intp]:
+    """Return the rows that the fit uses in a segment of `count` rows: pairs `apart` rows apart."""
+    even = np.linspace(0, count - 1 - apart, min(PAIRS, count // 2)).astype(int)
+    return np.stack([even, even + apart], axis=1).ravel()
 
 
 def _swap_pairs(values: Array) -> Array:
@@ -112,7 +114,7 @@ def integrate_segments(
     mean: Complex = mean_current(current)
     flat = mean.ravel()
     sign = inverter_direction(np.stack([flat.real, flat.imag], axis=1), smoothing) @ [1, 1j]
-    rows = paired_rows(count)
+    rows = paired_rows(count, data.apart)
 
     def integral(values: Complex) -> Complex:
         total = h * np.cumsum(values, axis=1)

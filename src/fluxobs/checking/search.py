@@ -263,7 +263,7 @@ def check_log(
     notes = (UNSEEN,) if true is None or true.channel.startswith("speed") else ()
     data = search.data
     if true is not None and not true.guessed and true.angular and data.truth is not None:
-        rows = paired_rows(data.current.shape[1])
+        rows = paired_rows(data.current.shape[1], data.apart)
         lagged_fits = {
             candidate.mistake.lag: candidate.fit
             for candidate in result.candidates

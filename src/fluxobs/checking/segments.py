@@ -13,6 +13,7 @@ from ..errors import FluxobsError
 from ..logs.log import Log
 from ..logs.quality.detect import Detector
 from ..logs.quality.floating import with_back_emf
+from ..logs.quality.injection import describe_injection
 from ..logs.quality.marks import CLIPPED, FLOATING, HELD, NO_CURRENT, REPEATED
 from ..logs.record import LAGS
 from ..logs.scales import Scales, excerpts, scales_of
@@ -37,6 +38,8 @@ BRIDGED = 5
 #: times the median distance, SPIKE_LEAST times the signal's standard deviation, and twice the
 #: difference between the neighbours.
 SPIKE, SPIKE_LEAST = 30.0, 0.5
+#: More spikes than these within so many rows on each side are an injected signal.
+DENSE, DENSE_ROWS = 4, 16
 #: Rows with one of these marks are in no segment.
 EXCLUDED = REPEATED | HELD | CLIPPED
 #: Larger values [A], [V] cannot be measurements; their squares would overflow.
@@ -57,12 +60,15 @@ class Segments:
         Mean voltage [V] over the interval that ends at the row, for each lag of LAGS.
     truth : (segments, rows) array, optional
         The truth channel, in its own unit.
+    apart : int
+        Distance of two rows with independent noise and equal phase of an injected signal [rows].
     """
 
     sample_time: float
     current: Complex
     voltage: dict[int, Complex]
     truth: Array | None
+    apart: int = 1
 
 
 def _identity(values: Complex) -> Complex:
@@ -107,6 +113,10 @@ def without_spikes(values: Complex) -> tuple[Complex, int]:
     # A spike also increases the distances of its two neighbours, by half as much.
     padded = np.concatenate([[0.0], np.where(spike, size, 0.0), [0.0]])
     spike &= (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:])
+    count = np.concatenate(
+        [np.zeros(DENSE_ROWS), np.cumsum(spike), np.full(DENSE_ROWS, spike.sum())]
+    )
+    spike &= count[2 * DENSE_ROWS :] - count[: -2 * DENSE_ROWS] <= DENSE
     at = np.flatnonzero(spike) + 1
     mended[at] = (values[at + 1] + values[at - 1]) / 2
     return mended, len(at)
@@ -195,8 +205,10 @@ def cut_segments(
 
     faulty: list[NDArray[np.bool_]] = []
     idle: list[NDArray[np.bool_]] = []
+    marked_pieces: list[Aligned] = []
     for excerpt in pieces:
         excerpt = marked(excerpt)
+        marked_pieces.append(excerpt)
         marks = excerpt.marks
         assert marks is not None
         blocks |= bool((marks & FLOATING).any())
@@ -228,6 +240,7 @@ def cut_segments(
         raise FluxobsError(
             f"{log.path}: cannot be checked: no {count} consecutive rows are free of gaps"
         )
+    injection = describe_injection(marked_pieces, log.sample_time)
     scaled = np.array(features)
     scaled /= np.array([scaled[:, 0].max(), *([scaled[:, 1].max()] * 3)]) + 1e-300
     moving = np.flatnonzero(scaled[:, 0] >= SLOW)
@@ -242,6 +255,7 @@ def cut_segments(
             for lag in LAGS
         },
         _stack_truth([truths[number] for number, _ in chosen], [cut for _, cut in chosen]),
+        1 if injection is None else min(injection.period, count // 2),
     )
 
 

@@ -16,7 +16,7 @@ from .baselines.cage import (
     HybridFluxObserver,
     ReducedOrderObserver,
 )
-from .catalogue import CATALOGUE, PLL, Entry, Gains, Setting, baseline
+from .catalogue import CATALOGUE, INJECTION, PLL, Entry, Gains, Setting, baseline
 
 #: Entries of the general catalogue that suit a cage, because they need no known flux magnitude.
 SHARED = ("least squares", "voltage model, low-pass", "voltage model, high-pass")
@@ -63,6 +63,8 @@ CAGES = [
 ]
 
 
-def entries_for(machine: RotatingMachine) -> Sequence[Entry]:
-    """Return the observers that suit a kind of machine."""
-    return CAGES if machine.flux_moves else CATALOGUE
+def entries_for(machine: RotatingMachine, injection: bool = False) -> Sequence[Entry]:
+    """Return the observers that suit a kind of machine, and a record with injection."""
+    if machine.flux_moves:
+        return CAGES
+    return [*CATALOGUE, INJECTION] if injection and machine.saliency != 0 else CATALOGUE

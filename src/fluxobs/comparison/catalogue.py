@@ -35,6 +35,7 @@ from .baselines import (
     OnRegression,
     SlidingMode,
     SpeedAdaptiveObserver,
+    SquareWaveInjection,
 )
 
 
@@ -312,3 +313,10 @@ def _entries() -> list[Entry]:
 
 
 CATALOGUE = _entries()
+#: For records with an injected signal, and a salient machine.
+INJECTION = Entry(
+    "square-wave injection (Yoon, Sul)",
+    baseline(SquareWaveInjection),
+    lambda s: {"bandwidth": PLL / 2},
+    lambda s: {"bandwidth": [PLL / 16, PLL / 8, PLL / 4, PLL / 2, PLL, 2 * PLL]},
+)

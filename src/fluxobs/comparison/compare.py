@@ -18,7 +18,7 @@ from ..core.arrays import Array
 from ..errors import FluxobsError, RecordError, UsageError
 from ..logs.for_machine import open_for
 from ..logs.log import Log
-from ..logs.quality.noise import white_noise
+from ..logs.quality.noise import injected, white_noise
 from ..logs.read import Source
 from ..machines import Machine, RotatingMachine, as_machine, rotating
 from ..observers import Observer
@@ -175,7 +175,8 @@ def compare_record(
     `voltage` and `current` have the shape (rows, 2). The voltage of row k is the mean over the
     interval that ends at row k, NaN where missing.
     """
-    selected = entries_for(setting.machine) if entries is None else entries
+    injection = bool(injected(setting.current_rows, setting.current).any())
+    selected = entries_for(setting.machine, injection) if entries is None else entries
     measured = jnp.asarray(voltage), jnp.asarray(current)
     filled = jnp.asarray(setting.mean_voltage), jnp.asarray(setting.current_rows)
 

@@ -18,6 +18,7 @@ from ..logs.read import Source
 from ..machines import Machine, RotatingMachine, as_machine, rotating
 from .drive import lag_item, learnt_items, run_adaptive, truth_items
 from .item import Item
+from .rest import rest_items
 from .signals import (
     ROWS,
     check_converters,
@@ -76,6 +77,7 @@ class Examination(Check):
             *items,
             *learnt_items(result, self.cold_resistance),
             lag_item(log, self.machine, lag_as_given),
+            *rest_items(log, self.machine, series),
             *truth_items(result),
         )
 

@@ -284,13 +284,14 @@ def smooth_record(
         float(about[3]),
     )
     outputs = {name: columns[n] for n, name in enumerate(OUTPUTS)}
+    converged = bool(np.isfinite(outputs["theta_e"]).all())
     correlation = min(max(float(about[1]), 0.0), MOST_CORRELATION)
     cost = float(about[2]) * (1 - correlation) / (1 + correlation)
     return SmoothedRecord(
         model,
         learnt,
-        float(about[0]),
-        cost,
+        float(about[0]) if converged else np.inf,
+        cost if converged else np.inf,
         outputs,
         known > 0,
         samples.marks,

@@ -4,6 +4,7 @@ from ...simulation import precision  # noqa: F401  # before anything else: float
 from .back_emf import ExtendedEmf, SlidingMode
 from .base import Baseline, Guess, run
 from .gradient import ClampedIntegrator, LengthGradient
+from .injection import SquareWaveInjection
 from .kalman import KalmanFilter
 from .regression import OnRegression
 from .speed_adaptive import SpeedAdaptiveObserver
@@ -20,5 +21,6 @@ __all__ = [
     "OnRegression",
     "SlidingMode",
     "SpeedAdaptiveObserver",
+    "SquareWaveInjection",
     "run",
 ]

@@ -19,7 +19,8 @@ LEAST_FREQUENCY = 0.15
 #: An injected signal has this multiple of the power of white noise with the median of the spectrum,
 #: and this share of the usual current as its rms value.
 LINE_RATIO, LINE_SIZE = 10.0, 0.005
-#: A larger share of the power of a block is its fundamental, logged too slowly.
+#: A larger share of the power of a block, or of half the usual current, is the fundamental, logged
+#: too slowly. Without load, the injected signal is the whole current.
 LINE_MOST = 0.1
 
 
@@ -98,7 +99,7 @@ def injected(current: Array, usual: float) -> NDArray[np.bool_]:
         flags = blocks.lines > (LINE_SIZE * usual) ** 2
     for n in np.flatnonzero(flags).tolist():
         block = current[n * blocks.rows : (n + 1) * blocks.rows]
-        if not blocks.lines[n] < LINE_MOST * float(np.mean(block**2)):
+        if not blocks.lines[n] < LINE_MOST * max(float(np.mean(block**2)), usual**2 / 4):
             continue
         # The differences of a block reach three rows farther.
         marked[n * blocks.rows : (n + 1) * blocks.rows + 3] = True
