@@ -4,6 +4,7 @@
 #include "fluxobs_internal.h"
 #if FO_ADAPTIVE
 #include "fluxobs_learning.h"
+#include "fluxobs_relation.h"
 #endif
 
 #include <string.h>
@@ -150,13 +151,17 @@ static void start_filter(const fo_adaptive *a, fo_adaptive_state *s, const seed_
     const fo_observer *o = &a->plain;
     point = *seed;
 
+    fo_block_end end;
+    (void)memset(&end, 0, sizeof end);
+#if FO_MAPPED
+    end.map_point = s->plain.map_point;
+    s->map_point = s->plain.map_point;
+#endif
     /* The filter's flux includes the estimated errors of inductance and offsets. */
-    const fo_real wrong = s->value[FO_INDUCTANCE + 1];
+    fo_linearisation with_errors;
+    fo_linearise(a, s->value, point.flux, current, map_of(&end), &with_errors);
     for (int i = 0; i < FO_N; i++) {
-        const fo_real offset = s->value[FO_OFFSET + i];
-        if (!has_map(o)) {
-            point.flux[i] += o->L_position * (wrong * (current[i] - offset) - offset);
-        }
+        point.flux[i] += point.length * point.direction[i] - with_errors.x[i];
     }
     (void)memset(&c, 0, sizeof c);
     (void)memset(&m, 0, sizeof m);
@@ -176,9 +181,7 @@ static void start_filter(const fo_adaptive *a, fo_adaptive_state *s, const seed_
         fo_add_row_to(FO_NM, m.U, m.d, m.z, 0, FO_NM, row, &value, &information);
     }
     /* No error has turned the flux yet. The std of the voltage holds until the first block ends. */
-    fo_block_end end;
     fo_learner *r = &s->learner;
-    (void)memset(&end, 0, sizeof end);
     for (int i = 0; i < FO_N; i++) {
         end.flux[i] = c.p[i];
         end.current[i] = current[i];
@@ -215,7 +218,7 @@ void fo_adaptive_seed_state(const fo_adaptive *a, fo_adaptive_state *s, const fo
     }
     s->seeded = seed_plain(&a->plain, &s->plain, seed, current, &point);
     s->half_turn = s->seeded ? seed->weight_other : ZERO;
-    if (s->seeded && point.std < START_STD && !has_map(&a->plain)) {
+    if (s->seeded && point.std < START_STD && !has_cage_map(&a->plain)) {
         start_filter(a, s, &point, current);
     } else if (s->seeded) { /* too uncertain for the filter: the first candidate is here */
         s->x[0] = point.direction[0];

@@ -150,8 +150,9 @@ static void set_variances(fo_work *w, const double p[FO_P], const double *covari
         block->decay = exp(-decay_rate * T);
         block->walk[0] = fo_flux_walk(w, p, b) * T;
         double *variance = block->variance;
-        const double direction = about->noise[FO_DIRECTION] * (1.0 + about->saliency_variance) /
-                                 LEAST_FILTER_SCALE;
+        double direction = about->noise[FO_DIRECTION] * (1.0 + about->saliency_variance);
+        if (direction > 0.0) direction += m->model_error * m->model_error * about->size * about->size;
+        direction /= LEAST_FILTER_SCALE;
         variance[FO_DIRECTION] = measures && direction > 0.0 ? direction : INFINITY;
         /* The direction limits an error of the flux as a rotation by its gain does. */
         const double gain = sqrt(block->walk[0] / (block->walk[0] + variance[FO_DIRECTION]));

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fluxobs import AdaptiveObserver
 from fluxobs.machines import example
 from support.at_rest import H, estimate_at_rest, interior, record_at_rest
 
@@ -59,3 +60,25 @@ def test_without_excitation_a_position_at_rest_is_lost(machine, options):
     _, std, valid = run(machine, **options)
     assert not valid[len(valid) // 2 :].any()
     assert std[-1] > 20
+
+
+@pytest.mark.parametrize(
+    "machine", [interior(1.5), example("ipm-5kw6")], ids=["interior", "PM-assisted with map"]
+)
+def test_a_seed_at_rest_becomes_valid_in_motion(machine):
+    """The record begins at rest with injection; the position comes from a seed."""
+    t = H * np.arange(20_000)
+    speed = np.interp(t, [1.0, 1.2], [0.0, 0.1])
+    record = record_at_rest(machine, speed, seed=4)
+    observer = AdaptiveObserver.for_machine(
+        record.assumed, sample_time=H, unknowns=("drift", "resistance", "inverter")
+    )
+    first = float(record.samples.theta[0])
+    state = observer.seed(first + 0.05, record.current[0], theta_e_std=0.1)
+    estimate = observer.resume(state, record.samples.voltage[1:], record.current[1:])[1]
+    error = record.errors(np.append(first, estimate.theta_e))[1:]
+    rest = t[1:] < 1.0
+    assert estimate.adapting[rest].mean() > 0.99
+    assert np.sqrt(np.mean(error[rest] ** 2)) < 3.0
+    assert error.max() < 18.0  # a load step, before R is learnt
+    assert estimate.valid[t[1:] > 1.5].mean() > 0.8

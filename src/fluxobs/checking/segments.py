@@ -38,6 +38,8 @@ BRIDGED = 5
 #: times the median distance, SPIKE_LEAST times the signal's standard deviation, and twice the
 #: difference between the neighbours.
 SPIKE, SPIKE_LEAST = 30.0, 0.5
+#: Fewest rows of the mean that removes an injected signal.
+LEAST_MEAN = 8
 #: More spikes than these within so many rows on each side are an injected signal.
 DENSE, DENSE_ROWS = 4, 16
 #: Rows with one of these marks are in no segment.
@@ -134,6 +136,16 @@ def _clean_voltage(rows: Aligned) -> Complex:
     return _clean(rows.voltage)
 
 
+def _moving_mean(values: Complex, rows: int) -> Complex:
+    """Return the mean over so many rows around each row; NaN within them stays NaN."""
+    known = np.nan_to_num(values)
+    total = np.cumsum(np.concatenate([np.zeros(1), known]))
+    first = np.maximum(np.arange(len(values)) - rows // 2, 0)
+    last = np.minimum(first + rows, len(values))
+    mean = (total[last] - total[first]) / (last - first)
+    return np.asarray(np.where(np.isfinite(values), mean, values))
+
+
 def _segment_length(voltage: list[Complex], sample_time: float) -> int:
     """Return the length of a segment, from the speed at which the voltage vector rotates."""
     speeds = []
@@ -220,6 +232,10 @@ def cut_segments(
     current_used, voltage_used = [current_as(i) for i in current], [voltage_as(u) for u in voltage]
     resistance = _limit_resistance(voltage_used, current_used, machine.R_s)
     emf = [u - resistance * i for u, i in zip(voltage_used, current_used, strict=True)]
+    injection = describe_injection(marked_pieces, log.sample_time)
+    if injection is not None:  # its voltage may exceed the EMF
+        rows = injection.period * -(-LEAST_MEAN // injection.period)
+        emf = [_moving_mean(u, rows) for u in emf]
     count = _segment_length(emf, log.sample_time)
     places, features = [], []
     carries = not all(rows.all() for rows in idle)
@@ -240,7 +256,6 @@ def cut_segments(
         raise FluxobsError(
             f"{log.path}: cannot be checked: no {count} consecutive rows are free of gaps"
         )
-    injection = describe_injection(marked_pieces, log.sample_time)
     scaled = np.array(features)
     scaled /= np.array([scaled[:, 0].max(), *([scaled[:, 1].max()] * 3)]) + 1e-300
     moving = np.flatnonzero(scaled[:, 0] >= SLOW)

@@ -107,8 +107,9 @@ MARKS = (
         2048,
         "a high-frequency signal is injected",
         "above 0.15 of the sampling frequency, the mean power of the current is ten times that of "
-        "noise with the median of its spectrum, in 256 rows",
-        "no restriction; it does not count as noise, nor for the speed",
+        "noise with the median of its spectrum, and most of it is at one frequency, in 256 rows",
+        "it does not count as noise, nor for the speed; in a salient machine it shows the "
+        "direction of the rotor",
         fault=False,
     ),
 )

@@ -19,9 +19,14 @@ LEAST_FREQUENCY = 0.15
 #: An injected signal has this multiple of the power of white noise with the median of the spectrum,
 #: and this share of the usual current as its rms value.
 LINE_RATIO, LINE_SIZE = 10.0, 0.005
-#: A larger share of the power of a block, or of half the usual current, is the fundamental, logged
-#: too slowly. Without load, the injected signal is the whole current.
-LINE_MOST = 0.1
+#: An injected signal has this share of the power within LINE_BINS on each side of one frequency,
+#: positive and negative.
+LINE_SHARE, LINE_BINS = 0.6, 2
+#: A larger share of the power of a block is its fundamental, logged too slowly. A signal whose
+#: positive and negative lines differ by less than this factor pulsates, and is no fundamental.
+#: Without load it is most of the current; its limit is LINE_MOST of the power of half the usual
+#: current.
+LINE_MOST, SYMMETRY = 0.1, 3.0
 
 
 class Blocks(NamedTuple):
@@ -37,12 +42,34 @@ class Blocks(NamedTuple):
         The same from the median of the spectrum; NaN if a value is missing or a block is short.
     lines : (blocks,) ndarray
         Variance of an injected signal; 0 without, NaN if unknown.
+    narrow, pulsating : (blocks,) ndarray of bool
+        Whether most of the power above LEAST_FREQUENCY is at one frequency; whether it pulsates.
     """
 
     rows: int
     level: Array
     floor: Array
     lines: Array
+    narrow: NDArray[np.bool_]
+    pulsating: NDArray[np.bool_]
+
+
+def _strongest(power: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which blocks have a strong line, and where its positive and negative parts agree."""
+    width = 2 * LINE_BINS + 1
+    total = np.cumsum(np.pad(power, ((0, 0), (1, 0))), axis=1)
+    line = total[:, width:] - total[:, :-width]  # of the frequency in the middle
+    other = line[:, ::-1]
+    peak = np.argmax(line + other, axis=1)
+    rows = np.arange(len(power))
+    first, second = line[rows, peak], other[rows, peak]
+    middle = line.shape[1] // 2  # half the sampling frequency is one line
+    share = np.where(np.abs(peak - middle) <= LINE_BINS, first, first + second)
+    # A spectrum that falls with the frequency, as that of a step, is largest at the edge.
+    inside = np.abs(peak - middle) < middle
+    narrow = inside & (share > LINE_SHARE * total[:, -1])
+    alike = np.maximum(first, second) < SYMMETRY * np.minimum(first, second)
+    return np.asarray(narrow), np.asarray(narrow & alike)
 
 
 def blocks_of(signal: Array) -> Blocks:
@@ -64,7 +91,8 @@ def blocks_of(signal: Array) -> Blocks:
     level = np.where(enough, squares / np.maximum(counts, 1) / 20, np.nan)
     unknown = np.full(len(parts), np.nan)
     if rows < NOISE_ROWS:
-        return Blocks(rows, level, unknown, unknown)
+        no = np.zeros(len(parts), bool)
+        return Blocks(rows, level, unknown, unknown, no, no)
     turn = np.exp(2j * np.pi * np.arange(rows) / rows)
     window = 1 - turn.real  # Hann: the lines of a signal that turns do not leak
     gain = np.abs(1 - turn) ** 6
@@ -79,7 +107,7 @@ def blocks_of(signal: Array) -> Blocks:
         total = power.sum(axis=1)
         clear = total > 2 * power.shape[1] * LINE_RATIO * floor
     lines = np.where(clear, total / (2 * rows), np.where(np.isfinite(total), 0.0, np.nan))
-    return Blocks(rows, level, floor, lines)
+    return Blocks(rows, level, floor, lines, *_strongest(power))
 
 
 def white_noise(signal: Array) -> float:
@@ -96,10 +124,13 @@ def injected(current: Array, usual: float) -> NDArray[np.bool_]:
     marked = np.zeros(len(current), bool)
     blocks = blocks_of(current)
     with np.errstate(invalid="ignore"):
-        flags = blocks.lines > (LINE_SIZE * usual) ** 2
+        flags = blocks.narrow & (blocks.lines > (LINE_SIZE * usual) ** 2)
     for n in np.flatnonzero(flags).tolist():
         block = current[n * blocks.rows : (n + 1) * blocks.rows]
-        if not blocks.lines[n] < LINE_MOST * max(float(np.mean(block**2)), usual**2 / 4):
+        most = float(np.mean(block**2))
+        if blocks.pulsating[n]:
+            most = max(most, usual**2 / 4)
+        if not blocks.lines[n] < LINE_MOST * most:
             continue
         # The differences of a block reach three rows farther.
         marked[n * blocks.rows : (n + 1) * blocks.rows + 3] = True
