@@ -57,10 +57,10 @@ class Blocks(NamedTuple):
 def _strongest(power: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which blocks have a strong line, and where its positive and negative parts agree."""
     width = 2 * LINE_BINS + 1
-    total = np.cumsum(np.pad(power, ((0, 0), (1, 0))), axis=1)
+    total = np.concatenate([np.zeros((len(power), 1)), np.cumsum(power, axis=1)], axis=1)
     line = total[:, width:] - total[:, :-width]  # of the frequency in the middle
     other = line[:, ::-1]
-    peak = np.argmax(line + other, axis=1)
+    peak = np.array([int(np.argmax(both)) for both in line + other], int)
     rows = np.arange(len(power))
     first, second = line[rows, peak], other[rows, peak]
     middle = line.shape[1] // 2  # half the sampling frequency is one line
