@@ -1,5 +1,5 @@
 /* The relation of flux, current and angle that a sample of a log must satisfy, with every
- * assumption of assumptions.h. Theory: docs/theory.md, section 17. */
+ * assumption of assumptions.h. Theory: docs/theory.md, section 16. */
 #ifndef FLUXOBS_MODEL_H
 #define FLUXOBS_MODEL_H
 

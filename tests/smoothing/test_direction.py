@@ -95,3 +95,37 @@ def test_a_surface_machine_has_no_direction():
     without = smooth_record(model, samples, model.prior(), learning=True)
     np.testing.assert_array_equal(with_marks.outputs["theta_e"], without.outputs["theta_e"])
     np.testing.assert_array_equal(with_marks.outputs["theta_e_std"], without.outputs["theta_e_std"])
+
+
+@pytest.mark.parametrize(
+    "wave",
+    [np.array([1, -1]), np.array([1, 1, -1, -1]), np.exp(0.4j * np.pi * np.arange(5))],
+    ids=["half the rate", "a quarter", "rotating"],
+)
+def test_the_row_reaches_the_bound(wave):
+    """Against least squares on the currents, whose variance is the Cramér–Rao bound.
+
+    The unknowns are the angle and the constant flux; volt-seconds are known. Both angles are
+    linear in the noise, so that they are compared noise by noise.
+    """
+    L_d, L_q, amplitude, std, rows = 36e-3, 54e-3, 0.14, 0.014, 400
+    ripple = amplitude * np.resize(wave, rows)
+    flux = L_d * ripple.real + 1j * L_q * ripple.imag  # true angle 0
+    rng = np.random.default_rng(1)
+    noise = std * (rng.standard_normal((500, rows)) + 1j * rng.standard_normal((500, rows)))
+
+    gain = np.diff(flux)
+    d = gain.real / L_d + 1j * gain.imag / L_q
+    beside = 1j * (L_d - L_q) * np.conj(d)
+    rest = -(L_d * np.diff(noise.real) + 1j * L_q * np.diff(noise.imag))
+    row = -np.real(rest * np.conj(beside)).sum(axis=1) / np.sum(np.abs(beside) ** 2)
+
+    by_angle = 1j * (L_d - L_q) * np.conj(ripple)
+    by_angle = by_angle.real / L_d + 1j * by_angle.imag / L_q
+    columns = np.stack([by_angle, np.ones(rows) / L_d, 1j * np.ones(rows) / L_q], axis=1)
+    A = np.concatenate([columns.real, columns.imag])
+    y = np.concatenate([noise.real, noise.imag], axis=1)
+    least_squares = np.linalg.lstsq(A, y.T, rcond=None)[0][0]
+    ratio = row.std() / least_squares.std()
+    assert 0.97 < ratio < 1.15
+    assert row.std() == pytest.approx(std * np.sqrt(np.linalg.inv(A.T @ A)[0, 0]) * ratio, rel=0.1)
