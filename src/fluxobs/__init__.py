@@ -19,6 +19,7 @@ from .errors import (
 )
 from .logs.record import Record
 from .machines import (
+    InductionMachine,
     InteriorPMSM,
     Machine,
     MagLev2DOF,
@@ -64,6 +65,7 @@ __all__ = [
     "FluxobsError",
     "Immersion",
     "ImmersionObserver",
+    "InductionMachine",
     "InteriorPMSM",
     "LeastSquaresObserver",
     "Log",
@@ -101,4 +103,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted([*__all__, "__version__"])

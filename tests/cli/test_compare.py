@@ -27,6 +27,7 @@ def folder(tmp_path_factory):
         "theta": data.theta,
     }
     pl.DataFrame(columns).write_csv(path / "log.csv")
+    (path / "record.toml").write_text("frame = 'alphabeta'\n")
     return path
 
 
@@ -75,6 +76,10 @@ def test_a_log_and_a_scenario(folder):
         (["log.csv"], "a log (log.csv) needs a machine: give --machine"),
         (
             ["log.csv", "--machine", "pmsm-2kw2", "--truth", "none"],
+            "the log has no true angle to score observers",
+        ),
+        (
+            ["log.csv", "--machine", "pmsm-2kw2", "--record", "record.toml", "--truth", "none"],
             "the log has no true angle to score observers",
         ),
         (["ideal", "--machine", "maglev-knospe"], "no drive is defined for 'maglev-knospe'"),

@@ -1,6 +1,7 @@
 """The result of an estimation: columns, files, pictures and texts."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -10,7 +11,8 @@ from matplotlib.figure import Figure
 import fluxobs
 from fluxobs import FluxobsError, estimate
 from fluxobs.estimation import learning
-from fluxobs.machines import FluxPoints
+from fluxobs.estimation.columns import column_units
+from fluxobs.machines import FluxPoints, as_machine
 from fluxobs.observers import Estimate, SampleCounts, in_files
 from fluxobs.observers.derived import derived_outputs
 from fluxobs.smoothing.estimate import SmoothedEstimate
@@ -255,3 +257,56 @@ def test_a_map_that_is_not_reciprocal_causes_a_warning():
             log, rotated, sample_time=1.25e-4, lag=1.0, unknowns="drift", causal=True
         )
         assert any("not reciprocal" in line for line in result.warnings) == warned
+
+
+def test_a_result_is_a_table(plain):
+    columns = plain.estimates.columns
+    assert list(plain) == plain.keys() == columns
+    assert "theta_e" in plain
+    assert "theta" not in plain
+    assert len(plain) == ROWS
+    np.testing.assert_array_equal(plain["omega_e"], plain["speed_e"])
+    assert plain.to_polars().equals(plain.estimates)
+    assert pl.DataFrame(plain).equals(plain.estimates)  # by Arrow's interface
+
+
+class Frame(dict):
+    def set_index(self, name):
+        return name, dict(self)
+
+
+def test_a_result_as_a_table_of_another_package(plain, monkeypatch):
+    """With stand-ins: the tests do not need these packages."""
+
+    def dataset(columns, coords):
+        return columns, coords
+
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=Frame))
+    monkeypatch.setitem(sys.modules, "xarray", SimpleNamespace(Dataset=dataset))
+    index, columns = plain.to_pandas()
+    assert index == "t"
+    np.testing.assert_array_equal(columns["speed_e"], plain["speed_e"])
+    columns, coords = plain.to_xarray()
+    assert coords["t"][2] == {"units": "s"}
+    assert columns["flux_alpha"][2] == {"units": "Wb"}
+    assert columns["theta_e_error"][2] == {"units": "rad"}
+    assert {*columns, "t"} == set(plain)
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(FluxobsError, match="pip install xarray"):
+        plain.to_xarray()
+
+
+def test_every_column_has_a_unit(plain, adaptive):
+    for result in (plain, adaptive):
+        assert set(result) <= {*column_units(result.machine), "quality", "valid"}
+
+
+def test_a_machine_may_be_the_fields_of_a_file():
+    fields = {"kind": "surface-pmsm", "R_s": 0.5, "L_s": 1e-3, "psi_f": 0.01, "n_p": 4}
+    assert as_machine(fields) == fluxobs.SurfacePMSM(R_s=0.5, L_s=1e-3, psi_f=0.01, n_p=4)
+    with pytest.raises(fluxobs.MachineError, match="kind is missing"):
+        as_machine({"R_s": 0.5})
+
+
+def test_the_package_lists_its_own_names_only():
+    assert dir(fluxobs) == sorted([*fluxobs.__all__, "__version__"])

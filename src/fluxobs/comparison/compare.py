@@ -20,7 +20,7 @@ from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.quality.noise import injected, white_noise
 from ..logs.read import Source
-from ..machines import Machine, RotatingMachine, as_machine, rotating
+from ..machines import MachineSource, RotatingMachine, as_machine, rotating
 from ..observers import Observer
 from ..observers.for_log import LEAST_NOISE, VOLTAGE_OFFSET
 from ..simulation.drive.simulate import stack
@@ -226,8 +226,8 @@ def _score_best(
 
 
 def compare(
-    record: Source,
-    machine: Machine | str | Path | None = None,
+    log: Source,
+    machine: MachineSource | None = None,
     *,
     seed: int = 0,
     settle: float = 0.2,
@@ -241,9 +241,9 @@ def compare(
 
     Parameters
     ----------
-    record : str, or as for :func:`fluxobs.read_log`
+    log : str, or as for :func:`fluxobs.read_log`
         The name of a scenario, or a log with a true angle.
-    machine : Machine, or a path, or the name of a shipped machine
+    machine : Machine, path, name of a shipped machine, or mapping of a machine file
         A scenario needs the name of a shipped machine; default pmsm-2kw2.
     seed : int
         Seed of a scenario's sensor noise.
@@ -257,33 +257,33 @@ def compare(
     Raises
     ------
     FluxobsError
-        `record` is neither a scenario nor a log, or the log has no true angle.
+        `log` is neither a scenario nor a log, or the log has no true angle.
     """
-    if isinstance(record, str) and record in SCENARIOS:
+    if isinstance(log, str) and log in SCENARIOS:
         name = "pmsm-2kw2" if machine is None else machine
         if not isinstance(name, str | Path):
-            raise UsageError(f"scenario {record!r}: give the name of a shipped machine")
-        return compare_scenario(SCENARIOS[record], str(name), seed, progress=progress)
-    check_comparable(record, machine)
+            raise UsageError(f"scenario {log!r}: give the name of a shipped machine")
+        return compare_scenario(SCENARIOS[log], str(name), seed, progress=progress)
+    check_comparable(log, machine)
     assert machine is not None
     rotating_machine = rotating(as_machine(machine), "the comparison")
-    log = open_for(record, rotating_machine, **layout)
+    opened = open_for(log, rotating_machine, **layout)
     return compare_log(
-        log.less_inverter(rotating_machine.inverter), rotating_machine, settle, progress=progress
+        opened.less_inverter(rotating_machine.inverter), rotating_machine, settle, progress=progress
     )
 
 
-def check_comparable(record: Source, machine: Machine | str | Path | None) -> None:
-    """Raise FluxobsError unless the record is a scenario, or a log with its machine."""
-    if isinstance(record, str | Path) and str(record) not in SCENARIOS:
-        if not Path(record).exists():
+def check_comparable(log: Source, machine: MachineSource | None) -> None:
+    """Raise FluxobsError unless it is a scenario, or a log with its machine."""
+    if isinstance(log, str | Path) and str(log) not in SCENARIOS:
+        if not Path(log).exists():
             raise FluxobsError(
-                f"{str(record)!r} is neither a file nor a scenario; `fluxobs compare list` "
+                f"{str(log)!r} is neither a file nor a scenario; `fluxobs compare list` "
                 f"lists the scenarios"
             )
         if machine is None:
-            raise FluxobsError(f"a log ({record}) needs a machine: give --machine")
-    elif machine is None and not isinstance(record, str):
+            raise FluxobsError(f"a log ({log}) needs a machine: give --machine")
+    elif machine is None and not isinstance(log, str):
         raise FluxobsError("a log needs a machine: give machine")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..core.validation import number
 from ..errors import FluxobsError
-from ..machines import Machine, as_machine
+from ..machines import MachineSource, as_machine
 from ..observers import AdaptiveObserver, LeastSquaresObserver, Priors
 from ..observers.unknowns import ALL, AUTO, adapts, read_unknowns
 from .c_source import PRECISIONS
@@ -44,7 +44,7 @@ class Export:
 
 
 def export(
-    machine: Machine | str | Path,
+    machine: MachineSource,
     sample_time: float,
     out: str | Path,
     *,
@@ -64,7 +64,7 @@ def export(
 
     Parameters
     ----------
-    machine : Machine, or a path, or the name of a shipped machine
+    machine : Machine, path, name of a shipped machine, or mapping of a machine file
         A rotating machine with rated_current, and psi_f if it has a magnet.
     sample_time : float
         Period of the current-control interrupt [s].

@@ -13,7 +13,7 @@ from ..logs.log import Log
 from ..logs.time.aligned import Aligned
 from ..machines import Machine, RotatingMachine
 from ..observers import AdaptiveEstimate, Estimate, ImmersionEstimate, ImmersionObserver
-from ..observers.derived import derived
+from ..observers.derived import derived, derived_outputs
 from ..observers.for_log import AnyObserver
 from ..observers.outputs import in_files
 from ..smoothing.estimate import SmoothedEstimate
@@ -158,3 +158,17 @@ def _immersed(
             name = machine.position_output.name
             columns |= {name: position, f"{name}_std": std}
     return columns, valid
+
+
+def column_units(machine: Machine) -> dict[str, str]:
+    """Return the SI unit of each column that an estimate may have; "" if it is dimensionless."""
+    units = {"t": "s"}
+    for kind in (Estimate, AdaptiveEstimate, SmoothedEstimate, ImmersionEstimate):
+        for output in in_files(kind):
+            units |= dict.fromkeys(output.columns(machine.ports), output.unit)
+    units |= {output.name: output.unit for output in derived_outputs(machine)}
+    units["torque_std"] = units.get("torque", "")
+    position = machine.position_output.name
+    unit = units.get(position, "m")  # a rotating machine's is an output
+    units |= dict.fromkeys((position, f"{position}_std", f"{position}_error"), unit)
+    return units

@@ -15,7 +15,7 @@ from ..errors import FluxobsError
 from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
-from ..machines import Machine, RotatingMachine, as_machine, rotating
+from ..machines import MachineSource, RotatingMachine, as_machine, rotating
 from .drive import lag_item, learnt_items, run_adaptive, truth_items
 from .item import Item
 from .rest import rest_items
@@ -133,7 +133,7 @@ def _finite(value: float | None) -> float | None:
 
 def check(
     log: Source,
-    machine: Machine | str | Path,
+    machine: MachineSource,
     *,
     cold_resistance: float | None = None,
     progress: Callable[[int, int], Any] | None = None,
@@ -152,7 +152,7 @@ def check(
     ----------
     log : path, Log, Record, mapping of str to array, or (voltage, current)
         See :func:`fluxobs.read_log`.
-    machine : Machine, or a path, or the name of a shipped machine
+    machine : Machine, path, name of a shipped machine, or mapping of a machine file
         The machine must be a rotating one.
     cold_resistance : float, optional
         Phase resistance at 20 °C [Ω], for the winding temperature. Default: R_s of the machine.

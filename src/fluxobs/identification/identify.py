@@ -18,7 +18,7 @@ from ..logs.record import LAGS
 from ..logs.scales import Scales
 from ..machines import (
     AlgebraicSaturation,
-    Machine,
+    MachineSource,
     RotatingMachine,
     SynchronousMachine,
     as_machine,
@@ -179,7 +179,7 @@ def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tup
 
 def identify(
     log: Source,
-    machine: Machine | str | Path,
+    machine: MachineSource,
     *,
     free: str | Sequence[str] | None = None,
     **layout: Any,
@@ -192,7 +192,7 @@ def identify(
     ----------
     log : path, Log, Record, mapping of str to array, or (voltage, current)
         See :func:`fluxobs.read_log`.
-    machine : Machine, or a path, or the name of a shipped machine
+    machine : Machine, path, name of a shipped machine, or mapping of a machine file
         A rotating machine; its values must be right within a factor of about two.
     free : str or sequence of str, optional
         Any of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, L_M, inverter, lag;

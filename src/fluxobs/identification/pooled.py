@@ -14,7 +14,7 @@ from ..core.hashing import hash_file
 from ..errors import FluxobsError
 from ..logs.for_machine import open_for
 from ..logs.read import Source
-from ..machines import Machine, as_machine, rotating
+from ..machines import Machine, MachineSource, as_machine, rotating
 from ..machines.heat import COPPER, NEODYMIUM
 from .identify import Identification, identify, identify_logs, read_free
 
@@ -151,7 +151,7 @@ class Pooled:
 
 def identify_many(
     logs: Sequence[str | Path],
-    machine: Machine | str | Path,
+    machine: MachineSource,
     *,
     free: str | Sequence[str] | None = None,
     workers: int | None = None,

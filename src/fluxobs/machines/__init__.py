@@ -2,6 +2,7 @@
 
 from .contract import Machine, Position
 from .files import (
+    MachineSource,
     as_machine,
     example,
     example_names,
@@ -25,6 +26,7 @@ __all__ = [
     "InductionMachine",
     "InteriorPMSM",
     "Machine",
+    "MachineSource",
     "MagLev2DOF",
     "MagnetMachine",
     "Position",

@@ -101,19 +101,29 @@ def example_text(name: str) -> str:
     return str((_examples_folder() / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def as_machine(machine: Machine | str | Path) -> Machine:
-    """Return `machine` unchanged, or read it from a file or by the name of a shipped example.
+#: What a function accepts as a machine: an object, a file, the name of a shipped example, or the
+#: fields of a machine file.
+MachineSource = Machine | str | Path | Mapping[str, Any]
+
+
+def as_machine(machine: MachineSource) -> Machine:
+    """Return `machine` unchanged, read from a file or by the name of an example, or from fields.
+
+    >>> as_machine({"kind": "surface-pmsm", "R_s": 0.5, "L_s": 1e-3, "psi_f": 0.01, "n_p": 4}).kind
+    'surface-pmsm'
 
     Raises
     ------
     MachineError
-        `machine` is neither a machine, nor a path, nor a name.
+        `machine` is neither a machine, nor a path, nor a name, or its fields are wrong.
     """
     if isinstance(machine, Machine):
         return machine
     if isinstance(machine, str | Path):
         return read_machine(machine)
+    if isinstance(machine, Mapping):
+        return machine_from(machine, source="machine")
     raise MachineError(
-        f"expected a machine, a TOML file or one of {', '.join(example_names())}, "
-        f"got {type(machine).__name__}"
+        f"expected a machine, a TOML file, the fields of one, or one of "
+        f"{', '.join(example_names())}, got {type(machine).__name__}"
     )

@@ -14,7 +14,7 @@ from ..core.validation import number
 from ..estimation.passes import Passes
 from ..logs.for_machine import open_for
 from ..logs.read import Source
-from ..machines import Machine
+from ..machines import MachineSource
 from ..machines.files import as_machine
 from ..observers.unknowns import read_unknowns
 from .result import Result
@@ -22,7 +22,7 @@ from .result import Result
 
 def estimate(
     log: Source,
-    machine: Machine | str | Path,
+    machine: MachineSource,
     *,
     out: str | Path | None = None,
     keep: bool = True,

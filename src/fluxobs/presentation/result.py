@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from ..core.output import check_out, write_rows
 from ..core.validation import nearest
 from ..errors import FluxobsError
+from ..estimation.columns import column_units
 from ..machines import rotating
 from ..machines.saving import write_machine
 from .explanation import ExplainedRun
@@ -22,11 +24,25 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+#: Other names of columns.
+ALIASES = {"omega_e": "speed_e"}
+
+
+def _optional(package: str) -> Any:
+    """Return an optional package."""
+    try:
+        return import_module(package)
+    except ImportError:
+        raise FluxobsError(f"this needs {package}: pip install {package}") from None
+
+
 @dataclass(frozen=True, eq=False)
 class Result(ExplainedRun):
     """Result of :func:`fluxobs.estimate`.
 
-    ``result["theta_e"]`` is a column as an array; ``print(result)`` shows summary and warnings.
+    A table: ``result["theta_e"]`` is a column as an array; iterating, `in` and `keys` go over the
+    columns, `len` is the number of rows; ``pandas.DataFrame(result)`` and other readers of Arrow
+    take it as it is. ``print(result)`` shows summary and warnings.
 
     Attributes
     ----------
@@ -60,7 +76,48 @@ class Result(ExplainedRun):
         except (OSError, pl.exceptions.PolarsError) as error:
             raise FluxobsError(f"{self.path}: the estimates cannot be read: {error}") from None
 
+    def keys(self) -> list[str]:
+        """Return the names of the columns."""
+        return self.estimates.columns
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.keys())
+
+    def __contains__(self, column: object) -> bool:
+        return column in self.keys()
+
+    def __len__(self) -> int:
+        return self.estimates.height
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        return self.estimates.__arrow_c_stream__(requested_schema)
+
+    def to_polars(self) -> pl.DataFrame:
+        """Return the estimates as a Polars table."""
+        return self.estimates
+
+    def to_pandas(self) -> Any:
+        """Return the estimates as a pandas table, indexed by the time [s]. Needs pandas."""
+        pandas = _optional("pandas")
+        table = pandas.DataFrame({name: self[name] for name in self})
+        return table.set_index("t")
+
+    def to_xarray(self) -> Any:
+        """Return the estimates as an xarray dataset over the time [s]. Needs xarray.
+
+        The variables carry their units.
+        """
+        xarray = _optional("xarray")
+        units = column_units(self.machine)
+        columns = {
+            name: ("t", self[name], {"units": units[name]} if name in units else {})
+            for name in self
+            if name != "t"
+        }
+        return xarray.Dataset(columns, coords={"t": ("t", self["t"], {"units": "s"})})
+
     def __getitem__(self, column: str) -> NDArray[Any]:
+        column = ALIASES.get(column, column)
         table = self.estimates
         if column not in table.columns:
             raise FluxobsError(f"no column {column!r}{nearest(column, table.columns)}")
