@@ -5,8 +5,8 @@
 /* The direction is measured if the squared changes are this multiple of those of the noise. */
 #define RIPPLE_MIN 1.0
 /* Correlation of a change with the one before, at most: it is -1 at half the sampling rate, 0 at a
- * quarter, 1/2 at a sixth, and near 1 for loads and unequal sensors, which also change the residual. */
-#define CORRELATION_MOST 0.55
+ * quarter, and near 1 for loads and unequal sensors, which also change the residual. */
+#define CORRELATION_MOST 0.45
 
 /* M J⁻¹ g, and the squared size of M [H^2]. */
 static vec response_to(const fo_relation *f, vec g, double *squares)

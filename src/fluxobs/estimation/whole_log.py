@@ -49,7 +49,16 @@ from .budget import Budget
 from .columns import EstimateRows, rows_of
 from .course import Course, Learning, course_of, no_course
 from .events import LEAST_ANCHORS, SUSPICIOUS_MISFIT, EventSearch
-from .fit import contradiction, doubts_bridge, inductance_error, inverter_loss, rank, typical_std
+from .fit import (
+    contradiction,
+    doubts_bridge,
+    inductance_error,
+    inverter_loss,
+    rank,
+    shows_direction,
+    typical_std,
+    without_direction,
+)
 from .hypotheses import LEAST_WEIGHT, mixed, other_inductances, weights_of, with_inductance
 from .lag import LagDecision
 from .statistics import THIN_ROWS, Statistics
@@ -62,6 +71,8 @@ SEGMENTS, SEGMENT_ROWS = 8, 65_536
 #: Parts of a record that are learnt alone if the whole does not fit, and the largest share of rows
 #: that may not fit then.
 PARTS, MOST_EVENTS = 4, 0.2
+#: Cost of an estimate without the direction of injected rows: a lag with which they fit is better.
+WITHOUT_DIRECTION = 500.0
 #: Cost that excludes a lag.
 UNLIKELY = 1e3
 
@@ -384,6 +395,8 @@ class WholeLog:
         best: SmoothedRecord | None = None
         for samples, start, tried in self._starts(model, rows, anchors):
             record = smooth_record(tried, samples, start, learning=True)
+            if tried.numbers["injection"] != model.numbers["injection"]:
+                record = replace(record, cost=record.cost + WITHOUT_DIRECTION)
             if best is None or rank(record) < rank(best):
                 best = record
             sure = best.misfit < SUSPICIOUS_MISFIT and typical_std(best) < VALID_STD
@@ -399,6 +412,8 @@ class WholeLog:
         samples = self._samples(rows, anchors)
         start = self._start(model)
         yield samples, start, model
+        if shows_direction(model, samples):  # an oscillation may look like an injection
+            yield samples, start, without_direction(model)
         off = without_bridge(rows)
         if off is not None:
             off, length = self._plain_angles(off)
@@ -505,7 +520,11 @@ class WholeLog:
         assumed: Assumed,
     ) -> SmoothedRecord:
         """Smooth with learnt parameters."""
-        record = smooth_record(model, self._samples(rows, anchors), assumed, learning=False)
+        samples = self._samples(rows, anchors)
+        record = smooth_record(model, samples, assumed, learning=False)
+        if record.misfit > SUSPICIOUS_MISFIT and shows_direction(model, samples):
+            other = smooth_record(without_direction(model), samples, assumed, learning=False)
+            record = min(record, other, key=rank)
         if doubts_bridge(record):
             off = without_bridge(rows)
             assert off is not None
