@@ -7,6 +7,8 @@
 /* Correlation of a change with the one before, at most: it is -1 at half the sampling rate, 0 at a
  * quarter, and near 1 for loads and unequal sensors, which also change the residual. */
 #define CORRELATION_MOST 0.45
+/* An error e leaves sin(2e)/2; more is not an error of the angle [rad]. */
+#define LARGEST_ERROR 0.5
 
 /* M J⁻¹ g, and the squared size of M [H^2]. */
 static vec response_to(const fo_relation *f, vec g, double *squares)
@@ -19,9 +21,6 @@ static vec response_to(const fo_relation *f, vec g, double *squares)
     *squares = even * even + odd * odd;
     return vec_of(even * d.re + odd * d.im, odd * d.re - even * d.im);
 }
-
-/* An error e leaves sin(2e)/2; more is not an error of the angle [rad]. */
-#define LARGEST_ERROR 0.5
 
 bool fo_add_ripple(fo_ripple *s, const fo_ripple_row *now, const fo_relation *f,
                    const fo_relation *given, bool measured, double rotation)

@@ -6,9 +6,9 @@
  *     a(i) = F(i) + j J (j i),  M d = J d + j J (j d),
  *
  * whatever the flux. M is symmetric without trace, and zero without saliency. A change of the current
- * in any direction so shows the angle. d is computed from the volt-seconds, d = J⁻¹ Δλ: the noise of
- * the current would be in M d and in the residual. M d is that of the machine as given: near the right
- * angle hardly anything tells M, and a learnt M came near zero, where nothing shows the angle. */
+ * in any direction so shows the angle. d comes from the volt-seconds, d = J⁻¹ Δλ: with the measured
+ * change, the same noise would be in M d and in the residual. M is that of the machine as given: near
+ * the right angle the log hardly determines M, and a learnt M can come out as zero. */
 #ifndef FLUXOBS_DIRECTION_H
 #define FLUXOBS_DIRECTION_H
 

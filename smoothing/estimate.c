@@ -301,7 +301,7 @@ bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_a
     w.record = *r;
     w.per_block = fo_rows_per_block(m);
     w.blocks = fo_blocks_of(m, r->rows);
-    w.measurements = m->injection > 0.0 ? 2 : 1;
+    w.measurements = m->injection > 0.0 ? FO_MEASUREMENTS : 1;
     for (int j = 0; j < FO_P; j++)
         if (m->std[j] > 0.0) w.active[w.columns++] = j;
     s.sides = 1 + w.columns;

@@ -327,7 +327,7 @@ typedef struct {
     double column[FO_P];    /* by the assumptions */
     double reference;       /* part of the angle that the reference's corrections cause [rad] */
     double time;            /* from the middle of the block [s] */
-    vec total[FO_P], change[FO_P];
+    const vec *total, *change;
 } angle_facts;
 
 /* Sums over the rows of a measurement. */
@@ -513,8 +513,8 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
                 const fo_ripple_row now = {times(residual, f.along),
                                            product(lambda, conjugate(direction)),
                                            times(f.size, f.along), w->angle[k]};
-                memcpy(facts.total, total, sizeof total);
-                memcpy(facts.change, change, sizeof change);
+                facts.total = total;
+                facts.change = change;
                 fo_relation given;
                 fo_relate(m, as_given, psi, i_dq, direction, &given);
                 add_direction(w, &changes, &now, &f, &given, &facts, is_measured, speed * h);

@@ -8,15 +8,14 @@ import pytest
 from fluxobs.logs.quality.marks import INJECTED
 from fluxobs.logs.scales import Scales
 from fluxobs.machines import example
-from fluxobs.smoothing.assumptions import NAMES
 from fluxobs.smoothing.record import (
     QUANTITIES,
     SHARES,
-    Assumed,
     RecordSamples,
     SmoothingModel,
     smooth_record,
 )
+from support.assumed import alone
 from support.at_rest import RATED_SPEED, H, interior, record_at_rest
 
 T = H * np.arange(16_000)
@@ -38,13 +37,6 @@ def prepared(machine, noise=0.002, **conditions):
     std = np.where(T < 0.35, 0.02, np.inf)
     marks = np.full(len(T), INJECTED)
     return model, RecordSamples(voltage, record.samples.current, marks, angle, std), angle
-
-
-def alone(model, name, deviation=0.0):
-    variance = np.zeros(len(model.active))
-    variance[model.active.index(name)] = model.stds[name] ** 2
-    start = Assumed(dict.fromkeys(NAMES, 0.0), np.diag(variance), 1.0)
-    return start.with_deviation(name, deviation)
 
 
 @pytest.mark.parametrize("machine", [interior(1.5), example("ipm-5kw6")], ids=["linear", "map"])
@@ -74,7 +66,10 @@ def test_a_share_is_what_running_again_gives(name):
     share = np.sqrt(shares[:, QUANTITIES.index("theta_e"), SHARES.index(name)])
     ends = [
         smooth_record(
-            model, samples, alone(model, name, sign * 0.1 * model.stds[name]), learning=False
+            model,
+            samples,
+            alone(model, name).with_deviation(name, sign * 0.1 * model.stds[name]),
+            learning=False,
         )
         for sign in (1, -1)
     ]

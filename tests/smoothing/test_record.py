@@ -19,6 +19,7 @@ from fluxobs.smoothing.record import (
     SmoothingModel,
     smooth_record,
 )
+from support.assumed import alone
 from support.records import PMSM, SERVO, course, driven, log_columns
 
 H = 1e-4
@@ -53,13 +54,6 @@ def record(samples):
         angle,
         np.full(len(angle), 0.02),
     )
-
-
-def alone(model, name):
-    """Return assumptions of which only one is uncertain."""
-    variance = np.zeros(len(model.active))
-    variance[model.active.index(name)] = model.stds[name] ** 2
-    return Assumed(dict.fromkeys(NAMES, 0.0), np.diag(variance), 1.0)
 
 
 def by_block(model, values):

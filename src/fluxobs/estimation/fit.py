@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..logs.quality.marks import BRIDGE_OFF, INJECTED, NO_CURRENT
+from ..logs.quality.marks import BRIDGE_OFF, NO_CURRENT
 from ..machines.model.flux_map import LinearMap
 from ..smoothing.assumptions import ITEMS, Calibration, with_scale
-from ..smoothing.record import Assumed, RecordSamples, SmoothedRecord, SmoothingModel
+from ..smoothing.record import Assumed, SmoothedRecord, SmoothingModel
 from .course import CONVERGED_MISFIT
 
 #: A learnt deviation of more prior standard deviations contradicts the machine or the layout: no
@@ -103,13 +103,3 @@ def inductance_error(
     if prior == 0:
         return value - 1, 0.0
     return value - 1, float(with_scale(std, value, calibration.ratio, prior))
-
-
-def shows_direction(model: SmoothingModel, samples: RecordSamples) -> bool:
-    """Whether injected rows tell the direction of the flux."""
-    return bool(model.numbers["injection"] > 0 and (samples.marks & INJECTED).any())
-
-
-def without_direction(model: SmoothingModel) -> SmoothingModel:
-    """Return the model that does not use injected rows."""
-    return model.with_numbers(injection=0.0)

@@ -55,9 +55,7 @@ from .fit import (
     inductance_error,
     inverter_loss,
     rank,
-    shows_direction,
     typical_std,
-    without_direction,
 )
 from .hypotheses import LEAST_WEIGHT, mixed, other_inductances, weights_of, with_inductance
 from .lag import LagDecision
@@ -412,8 +410,8 @@ class WholeLog:
         samples = self._samples(rows, anchors)
         start = self._start(model)
         yield samples, start, model
-        if shows_direction(model, samples):  # an oscillation may look like an injection
-            yield samples, start, without_direction(model)
+        if model.measures_direction(samples):  # an oscillation may look like an injection
+            yield samples, start, model.without_direction()
         off = without_bridge(rows)
         if off is not None:
             off, length = self._plain_angles(off)
@@ -522,8 +520,8 @@ class WholeLog:
         """Smooth with learnt parameters."""
         samples = self._samples(rows, anchors)
         record = smooth_record(model, samples, assumed, learning=False)
-        if record.misfit > SUSPICIOUS_MISFIT and shows_direction(model, samples):
-            other = smooth_record(without_direction(model), samples, assumed, learning=False)
+        if record.misfit > SUSPICIOUS_MISFIT and model.measures_direction(samples):
+            other = smooth_record(model.without_direction(), samples, assumed, learning=False)
             record = min(record, other, key=rank)
         if doubts_bridge(record):
             off = without_bridge(rows)

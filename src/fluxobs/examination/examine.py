@@ -77,7 +77,7 @@ class Examination(Check):
             *items,
             *learnt_items(result, self.cold_resistance),
             lag_item(log, self.machine, lag_as_given),
-            *rest_items(log, self.machine, series),
+            *rest_items(log, self.machine, result.scales, series),
             *truth_items(result),
         )
 

@@ -11,7 +11,7 @@ from ..logs.log import Log
 from ..logs.quality.detect import Detector
 from ..logs.quality.injection import Injection, describe_injection
 from ..logs.quality.marks import INJECTED
-from ..logs.scales import Scales, excerpts, scales_of
+from ..logs.scales import Scales, excerpts
 from ..logs.time.aligned import Aligned
 from ..machines import RotatingMachine
 from ..smoothing.assumptions import shows_direction
@@ -27,20 +27,22 @@ CLOSE = 0.1
 ON_AXIS = float(np.radians(10.0))
 
 
-def rest_items(log: Log, machine: RotatingMachine, series: Mapping[str, Array]) -> list[Item]:
+def rest_items(
+    log: Log, machine: RotatingMachine, scales: Scales, series: Mapping[str, Array]
+) -> list[Item]:
     """Return items on an injected signal, and on the position at rest.
 
     Parameters
     ----------
     log : Log
     machine : RotatingMachine
+    scales : Scales
+        Sizes of the log's signals.
     series : mapping
         Thinned columns of an estimate: t, theta_e, speed_e, valid. May be empty.
     """
-    pieces = list(excerpts(log))
-    scales = scales_of(pieces, log.sample_time, log.path)
     detector = Detector(scales.current, scales.voltage, scales.current_noise)
-    marked = [detector.marked(piece) for piece in pieces]
+    marked = [detector.marked(piece) for piece in excerpts(log)]
     injection = describe_injection(marked, log.sample_time)
     items = []
     if injection is not None:

@@ -129,6 +129,14 @@ class SmoothingModel:
         """Return the model with some numbers replaced."""
         return replace(self, numbers=self.numbers | numbers)
 
+    def measures_direction(self, samples: RecordSamples) -> bool:
+        """Whether injected rows of these samples measure the direction of the flux."""
+        return bool(self.numbers["injection"] > 0 and (samples.marks & INJECTED).any())
+
+    def without_direction(self) -> SmoothingModel:
+        """Return the model that does not use injected rows."""
+        return self.with_numbers(injection=0.0)
+
     @property
     def active(self) -> list[str]:
         """Names of the assumptions that are not exact."""
@@ -256,8 +264,8 @@ def smooth_record(
         Where learning starts; without learning, what is assumed.
     learning : bool
     """
-    if not (samples.marks & INJECTED).any():
-        model = model.with_numbers(injection=0.0)
+    if not model.measures_direction(samples):
+        model = model.without_direction()
     numbers = np.array([model.numbers[name] for name in MODEL_FIELDS], float)
     stds = np.array([model.stds[name] for name in NAMES], float)
     flux_map = np.array([model.map[name] for name in MAP_FIELDS], float)
