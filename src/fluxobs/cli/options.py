@@ -80,7 +80,7 @@ PriorOption = Annotated[
         "R_s times the rated current, or more at high voltage; psi_f a quarter of its value. "
         "`estimate` without --causal also accepts lag (samples), offset (A), current_gain, "
         "voltage_gain, link_sag, iron_loss, L_d, L_q, saturation, harmonics, R_R, L_M, "
-        "voltage_scale, current_scale (shares).",
+        "voltage_scale, current_scale (shares), tilt (rad).",
     ),
 ]
 

@@ -65,7 +65,7 @@ def estimate(
         Standard deviations of what the estimate assumes: resistance [Ω], inverter [V],
         asymmetry [1], psi_f [Wb], and unless `causal` also offset [A], lag [samples], current_gain,
         voltage_gain, iron_loss, L_d, L_q, saturation, harmonics, R_R, L_M, voltage_scale,
-        current_scale [1]. :mod:`fluxobs.smoothing.assumptions` has the defaults.
+        current_scale [1], tilt [rad]. :mod:`fluxobs.smoothing.assumptions` has the defaults.
     progress : callable, optional
         Called with the number of finished rows and the number of all rows.
     layout : optional

@@ -46,8 +46,9 @@ def check(
     this log cannot show. Exit code 1: other settings fit better than the given settings.
 
     Then examines the drive: sampling, converters, offsets, R_s and winding temperature, magnets,
-    inverter, gains, lag, encoder or Hall sensors. Each result has a value, a standard deviation and
-    a verdict: "fine", "look at it", or "cannot be told" (then it names the test that would decide).
+    inverter, gains, lag, injection and position at rest, encoder or Hall sensors. Each result has a
+    value, a standard deviation and a verdict: "fine", "look at it", or "cannot be told" (then it
+    names the test that would decide).
 
     Example: fluxobs check LOG.csv --machine motor.toml --lag -1
     """
