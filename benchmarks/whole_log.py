@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -130,8 +130,18 @@ def errors(rng: np.random.Generator, machine: str) -> dict[str, float]:
     return values
 
 
-def simulated(machine: str, course: str, drives: int, seed: int, late: bool = False) -> list[Drive]:
-    """Return the drives of a machine on a course that neither trip nor diverge."""
+def simulated(
+    machine: str,
+    course: str,
+    drives: int,
+    seed: int,
+    late: bool = False,
+    draw: Callable[[np.random.Generator, str], dict[str, float]] = errors,
+) -> list[Drive]:
+    """Return the drives of a machine on a course that neither trip nor diverge.
+
+    Half of the logs have a lag of -1 if `late`; `draw` draws the errors of a drive.
+    """
     place = [seed, MACHINES.index(machine), list(COURSES).index(course)]
     rng = np.random.default_rng(place)
     specification = Specification.model_validate(
@@ -147,7 +157,7 @@ def simulated(machine: str, course: str, drives: int, seed: int, late: bool = Fa
     lanes, scenarios, steps = [], [], []
     for n in range(drives):
         scenario = Scenario(
-            1000 * place[2] + n, specification.machines[0], errors(rng, machine), seed
+            1000 * place[2] + n, specification.machines[0], draw(rng, machine), seed
         )
         try:
             lane = drive_of(specification, scenario)

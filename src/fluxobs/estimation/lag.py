@@ -1,10 +1,10 @@
-"""The lag of the voltages, if nobody states it: two hypotheses, weighed by the log.
+"""The lag of the voltages, if nobody states it: hypotheses, weighed by the log.
 
 Most drives apply a voltage one sample after the currents from which it was computed (lag -1), or
-log it so that it acts from its row on (lag 0). The smoother estimates the log with both; each
-estimate allows for a spread around its lag. The costs of the two are the negative logarithms of
-their likelihoods, and the weights follow from Bayes' rule with equal priors. Where the log cannot
-decide, the difference of the two estimates is part of the standard deviation.
+log it so that it acts from its row on (lag 0). The smoother estimates the log with both, and with
+the neighbour of the better one (-2 or +1); each estimate allows for a spread around its lag. The
+costs are the negative logarithms of the likelihoods, and the weights follow from Bayes' rule. Where
+the log cannot decide, the difference of the estimates is part of the standard deviation.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from ..core.arrays import Array
 
 #: Lags to try, relative to the lag with which a log is read: 0 [samples].
 LAGS = (0, -1)
+#: Lags that are tried if they are next to the best of LAGS, and the cost of their prior: one drive
+#: in ten computes for two samples, or logs the voltage that acted before its row.
+UNUSUAL_LAGS, UNUSUAL_COST = (-2, 1), float(np.log(10))
 #: From this weight of another lag on, the log cannot decide. The weights are calibrated: of 96
 #: drives with every error at once, the wrong lag has more than 0.95 of the weight on 9 %, where
 #: the other assumptions replace the lag (benchmarks/whole_log.py --unknown-lag).
@@ -49,10 +52,12 @@ class LagDecision:
 
 
 def shifted(voltage: Array, shift: int) -> Array:
-    """Return the voltages of the intervals if the lag is larger by `shift` <= 0 samples.
+    """Return the voltages of the intervals if the lag is larger by `shift` samples.
 
-    The first intervals repeat the first voltage.
+    Intervals beyond the log repeat its first or last voltage.
     """
     if shift == 0:
         return voltage
+    if shift > 0:
+        return np.concatenate([voltage[shift:], np.repeat(voltage[-1:], shift, axis=0)])
     return np.concatenate([np.repeat(voltage[:1], -shift, axis=0), voltage[:shift]])

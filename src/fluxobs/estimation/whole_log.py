@@ -58,7 +58,7 @@ from .fit import (
     typical_std,
 )
 from .hypotheses import LEAST_WEIGHT, mixed, other_inductances, weights_of, with_inductance
-from .lag import LagDecision
+from .lag import UNUSUAL_COST, UNUSUAL_LAGS, LagDecision
 from .statistics import THIN_ROWS, Statistics
 
 #: Rows of a window of a long log, and rows that it shares with each neighbour: at 20 kHz, 6.6 s
@@ -271,10 +271,11 @@ class WholeLog:
     def _learn_segments(self) -> None:
         """Learn the course of the parameters from segments of a long log."""
         self._learn_from_segments(self.hypotheses, self.count)
-        others = self._others(min(self.hypotheses, key=lambda hypothesis: hypothesis.cost))
-        if others:
-            self._learn_from_segments(others, lambda _: None)
-            self.hypotheses += others
+        for more in (self._other_lags, self._other_inductances):
+            others = more()
+            if others:
+                self._learn_from_segments(others, lambda _: None)
+                self.hypotheses += others
         self._weigh()
         self.budget.misfit = self.course.misfit
 
@@ -298,8 +299,21 @@ class WholeLog:
             if self.model is not None and learnings[n]:
                 hypothesis.course = course_of(self.model, learnings[n])
 
-    def _others(self, best: Hypothesis) -> list[Hypothesis]:
+    def _other_lags(self) -> list[Hypothesis]:
+        """Return hypotheses of unusual lags next to the best one; all of them if none fits."""
+        if len(self.hypotheses) < 2:
+            return []
+        best = min(self.hypotheses, key=lambda hypothesis: hypothesis.cost)
+        fits = best.course.misfit < SUSPICIOUS_MISFIT
+        return [
+            Hypothesis(lag, cost=UNUSUAL_COST)
+            for lag in UNUSUAL_LAGS
+            if not fits or abs(lag - best.shift) == 1
+        ]
+
+    def _other_inductances(self) -> list[Hypothesis]:
         """Return hypotheses of a wrong inductance if what was learnt is suspicious."""
+        best = min(self.hypotheses, key=lambda hypothesis: hypothesis.cost)
         if self.model is None or not len(best.course.times):
             return []
         assumed = best.course.at(float(np.mean(best.course.times)), self.model)
@@ -568,10 +582,11 @@ class WholeLog:
                 records.append((hypothesis, record))
 
         learn(self.hypotheses)
-        others = self._others(min(self.hypotheses, key=lambda hypothesis: hypothesis.cost))
-        if others:
-            learn(others)
-            self.hypotheses += others
+        for more in (self._other_lags, self._other_inductances):
+            others = more()
+            if others:
+                learn(others)
+                self.hypotheses += others
         self._weigh()
         kept = [
             record for hypothesis in self.hypotheses for own, record in records if own is hypothesis
