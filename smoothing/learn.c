@@ -248,6 +248,8 @@ static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_sm
     memset(n->information, 0, P * P * sizeof *n->information);
     memset(n->gradient, 0, P * sizeof *n->gradient);
     n->cost = 0.0;
+    for (size_t b = 0; b < w->blocks; b++)
+        if (w->doubtful[b]) n->cost += 0.5 * FO_KNOWN_MISFIT;
     for (size_t k = 0; k < w->measurements * w->blocks; k++) {
         const double spread = s->room.spread[k];
         if (!isfinite(spread)) continue;
@@ -404,12 +406,12 @@ static bool iterate(fo_work *w, fo_assumed *out, fo_smoothed *s, normal *n, acce
     const size_t blocks = w->blocks, rows = w->record.rows;
     const double worse = fmax(WORSE, WORSE_PER_BLOCK * (double)blocks);
     const double *covariance = NULL;
+    out->settled = false;
     for (int it = 0; it < ITERATIONS; it++) {
         fo_linearise(w, out->p, NULL);
         smooth_blocks(w, out->p, covariance, s);
         covariance = s->room.covariance;
         if (!normal_equations(w, out->p, s, usual_speed(w), n)) return false;
-        out->iterations = it + 1;
         if (it >= FLUX_FIRST && a->set && n->cost > a->cost + worse) {
             a->share *= SHORTER;
             if (a->share < SHORTEST) a->share = 0.0;
@@ -437,7 +439,10 @@ static bool iterate(fo_work *w, fo_assumed *out, fo_smoothed *s, normal *n, acce
         for (size_t j = 0; j < w->columns; j++) out->p[w->active[j]] += a->step[j];
         memcpy(w->correction, a->to, blocks * sizeof *a->to);
         memcpy(w->psi, a->psi_to, blocks * sizeof *a->psi_to);
-        if (it >= FLUX_FIRST && moved < SETTLED) break;
+        if (it >= FLUX_FIRST && moved < SETTLED) {
+            out->settled = true;
+            break;
+        }
     }
     return true;
 }
@@ -498,6 +503,7 @@ bool fo_learn(fo_work *w, bool learning, fo_assumed *out, fo_smoothed *s)
             }
             if (round == DOUBTFUL_ROUNDS || mark_doubtful(w, s, psis) == 0) break;
         }
+        for (size_t b = 0; b < blocks; b++) out->settled = out->settled && !w->doubtful[b];
         if (good) {
             good = normal_equations(w, out->p, s, usual_speed(w), &n);
             out->chi = n.chi;

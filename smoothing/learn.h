@@ -10,9 +10,9 @@ typedef struct {
     double covariance[FO_P * FO_P]; /* of the active assumptions, `columns` rows */
     double chi;          /* mean square of the normalised innovations */
     double correlation;  /* of neighbouring innovations */
-    double cost;
+    double cost;         /* a block that is left out costs as one that just fits */
     double filter_scale; /* factor on the smoother's covariance: the innovations are coloured */
-    int iterations;
+    bool settled; /* learning converged, and no block was left out */
 } fo_assumed;
 
 typedef struct {

@@ -8,7 +8,7 @@ from fluxobs.errors import FluxobsError
 from fluxobs.estimation import whole_log
 from fluxobs.estimation.hypotheses import mixed, weights_of
 from fluxobs.machines.model.frames import wrap
-from fluxobs.smoothing.record import OUTPUTS, QUANTITIES, SHARES, SmoothedRecord
+from fluxobs.smoothing.record import OUTPUTS, QUANTITIES, SHARES, Cost, SmoothedRecord
 from support.records import SERVO, driven, log_columns, steady
 
 
@@ -82,7 +82,7 @@ def record(seed, offset):
     outputs = {name: offset + 0.1 * rng.random(rows) for name in OUTPUTS}
     shares = rng.random((blocks, len(QUANTITIES), len(SHARES)))
     model = type("Model", (), {"rows_per_block": 4})()
-    return SmoothedRecord(model, None, 0.01, 0.0, outputs, np.ones(rows, bool), None, shares)
+    return SmoothedRecord(model, None, 0.01, Cost(0.0, 0.0, 0.0), True, outputs, np.ones(rows, bool), None, shares)
 
 
 def test_two_records_give_the_moments_of_their_mixture():

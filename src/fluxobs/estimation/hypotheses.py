@@ -16,7 +16,14 @@ import numpy as np
 from ..core.arrays import Array
 from ..machines.model.flux_map import LinearMap
 from ..machines.model.frames import wrap
-from ..smoothing.record import QUANTITIES, SHARES, Assumed, SmoothedRecord, SmoothingModel
+from ..smoothing.record import (
+    QUANTITIES,
+    SHARES,
+    Assumed,
+    Cost,
+    SmoothedRecord,
+    SmoothingModel,
+)
 from .fit import CONTRADICTION
 
 #: A hypothesis with a smaller weight is dropped.
@@ -51,6 +58,22 @@ def with_inductance(model: SmoothingModel, factor: float) -> SmoothingModel:
     fields = model.map
     flux_map = LinearMap(fields["psi"], factor * fields["L_d"], factor * fields["L_q"])
     return replace(model, map=flux_map.core())
+
+
+#: Limit of the correlation of neighbouring innovations.
+MOST_CORRELATION = 0.9
+
+
+def total_costs(costs: Sequence[Cost]) -> list[float]:
+    """Return the costs of hypotheses about one record.
+
+    The innovations of the hypothesis that explains the record best show how many of them are
+    independent. A wrong hypothesis has correlated innovations, which must not make it cheaper.
+    """
+    best = min(costs, key=lambda cost: cost.sum)
+    correlation = min(best.correlation, MOST_CORRELATION)
+    share = (1 - correlation) / (1 + correlation)
+    return [cost.prior + share * cost.innovations for cost in costs]
 
 
 def weights_of(costs: Sequence[float]) -> Array:

@@ -28,9 +28,11 @@ from ..smoothing.estimate import VALID_STD, SmoothedEstimate, smoothed_estimate
 from ..smoothing.record import (
     QUANTITIES,
     Assumed,
+    Cost,
     RecordSamples,
     SmoothedRecord,
     SmoothingModel,
+    learn_record,
     smooth_record,
 )
 from .anchors import (
@@ -57,7 +59,14 @@ from .fit import (
     rank,
     typical_std,
 )
-from .hypotheses import LEAST_WEIGHT, mixed, other_inductances, weights_of, with_inductance
+from .hypotheses import (
+    LEAST_WEIGHT,
+    mixed,
+    other_inductances,
+    total_costs,
+    weights_of,
+    with_inductance,
+)
 from .lag import UNUSUAL_COST, UNUSUAL_LAGS, LagDecision
 from .statistics import THIN_ROWS, Statistics
 
@@ -118,15 +127,18 @@ class Hypothesis:
     weight : float
         Probability.
     course : Course
-    cost : float
-        Negative logarithm of the likelihood and of the prior.
+    prior : float
+        Negative logarithm of its odds.
+    costs : list of Cost
+        Of each segment that was learnt.
     """
 
     shift: int
     inductance: float = 1.0
     weight: float = 1.0
     course: Course = field(default_factory=no_course)
-    cost: float = 0.0
+    prior: float = 0.0
+    costs: list[Cost] = field(default_factory=list)
 
 
 class WholeLog:
@@ -202,7 +214,7 @@ class WholeLog:
 
     def _weigh(self) -> None:
         """Weigh the lags by their costs; the best comes first, improbable ones go."""
-        weights = weights_of([hypothesis.cost for hypothesis in self.hypotheses])
+        weights = weights_of(self._costs())
         for hypothesis, weight in zip(self.hypotheses, weights, strict=True):
             hypothesis.weight = float(weight)
         self.hypotheses.sort(key=lambda hypothesis: -hypothesis.weight)
@@ -213,6 +225,18 @@ class WholeLog:
         self.budget.wrong_inductance = sum(h.weight for h in self.hypotheses if h.inductance != 1)
         self.hypotheses = [h for h in self.hypotheses if h.weight > LEAST_WEIGHT]
         self._learnt = True
+
+    def _costs(self) -> list[float]:
+        """Return the costs of the hypotheses, summed over the segments."""
+        sums = [hypothesis.prior for hypothesis in self.hypotheses]
+        for costs in zip(*(hypothesis.costs for hypothesis in self.hypotheses), strict=True):
+            sums = [a + b for a, b in zip(sums, total_costs(costs), strict=True)]
+        return sums
+
+    @property
+    def _cheapest(self) -> Hypothesis:
+        costs = self._costs()
+        return self.hypotheses[costs.index(min(costs))]
 
     def _examine(self) -> None:
         """Check the log: with exchanged or turned vectors, an estimate may fit and be wrong."""
@@ -303,24 +327,24 @@ class WholeLog:
         """Return hypotheses of unusual lags next to the best one; all of them if none fits."""
         if len(self.hypotheses) < 2:
             return []
-        best = min(self.hypotheses, key=lambda hypothesis: hypothesis.cost)
+        best = self._cheapest
         fits = best.course.misfit < SUSPICIOUS_MISFIT
         return [
-            Hypothesis(lag, cost=UNUSUAL_COST)
+            Hypothesis(lag, prior=UNUSUAL_COST)
             for lag in UNUSUAL_LAGS
             if not fits or abs(lag - best.shift) == 1
         ]
 
     def _other_inductances(self) -> list[Hypothesis]:
         """Return hypotheses of a wrong inductance if what was learnt is suspicious."""
-        best = min(self.hypotheses, key=lambda hypothesis: hypothesis.cost)
+        best = self._cheapest
         if self.model is None or not len(best.course.times):
             return []
         assumed = best.course.at(float(np.mean(best.course.times)), self.model)
         if contradiction(self.model, assumed):
             return []  # another inductance would hide it, as it hides a sagging link
         return [
-            Hypothesis(best.shift, factor, cost=cost)
+            Hypothesis(best.shift, factor, prior=cost + best.prior)
             for factor, cost in other_inductances(self.model, assumed)
         ]
 
@@ -372,10 +396,10 @@ class WholeLog:
         comparable = len({record.model.rows_per_block for record in records}) == 1
         best = min(records, key=rank)
         for hypothesis, record in zip(hypotheses, records, strict=True):
-            if comparable:
-                hypothesis.cost += record.cost
-            elif record is not best:  # another start with other blocks fits better
-                hypothesis.cost += UNLIKELY
+            cost = record.cost
+            if not comparable and record is not best:  # another start with other blocks fits better
+                cost = replace(cost, innovations=best.cost.innovations + UNLIKELY)
+            hypothesis.costs.append(cost)
 
     def _samples(self, rows: Anchored, anchors: NDArray[np.bool_]) -> RecordSamples:
         inverter = self.machine.inverter if self.run.log.inverter is None else None
@@ -406,9 +430,10 @@ class WholeLog:
         """Smooth and learn; if the innovations are suspicious, try other starts."""
         best: SmoothedRecord | None = None
         for samples, start, tried in self._starts(model, rows, anchors):
-            record = smooth_record(tried, samples, start, learning=True)
+            record = learn_record(tried, samples, start)
             if tried.numbers["injection"] != model.numbers["injection"]:
-                record = replace(record, cost=record.cost + WITHOUT_DIRECTION)
+                cost = replace(record.cost, prior=record.cost.prior + WITHOUT_DIRECTION)
+                record = replace(record, cost=cost)
             if best is None or rank(record) < rank(best):
                 best = record
             sure = best.misfit < SUSPICIOUS_MISFIT and typical_std(best) < VALID_STD

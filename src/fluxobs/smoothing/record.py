@@ -25,8 +25,6 @@ OUTPUTS: tuple[str, ...] = tuple(_smoother.outputs.split())
 #: Fields of fo_model and of fo_map, in the order of the C code.
 MODEL_FIELDS: tuple[str, ...] = tuple(_smoother.model_fields.split())
 MAP_FIELDS: tuple[str, ...] = tuple(_smoother.map_fields.split())
-#: Limit of the correlation of neighbouring innovations.
-MOST_CORRELATION = 0.9
 #: Quantities with a budget: angle [rad], speed [rad/s], a component of the flux [Wb], and flux ×
 #: current [W s].
 QUANTITIES = ("theta_e", "speed_e", "flux", "torque")
@@ -214,6 +212,30 @@ class RecordSamples:
         return np.asarray(measured + 2 * floating_of(self.marks))
 
 
+@dataclass(frozen=True)
+class Cost:
+    """Negative logarithms of a record's likelihood and of the prior, but for constants.
+
+    Attributes
+    ----------
+    innovations : float
+        Half the weighted squares of the innovations, less the part of the noise. A block that was
+        left out counts as one that just fits.
+    prior : float
+    correlation : float
+        Of neighbouring innovations: correlated ones count as fewer independent ones.
+    """
+
+    innovations: float
+    prior: float
+    correlation: float
+
+    @property
+    def sum(self) -> float:
+        """Cost if the innovations are independent."""
+        return self.innovations + self.prior
+
+
 @dataclass(frozen=True, eq=False)
 class SmoothedRecord:
     """Estimates of all rows of a record.
@@ -227,9 +249,9 @@ class SmoothedRecord:
     misfit : float
         Mean square of the normalised innovations: above 0.3 the estimate did not converge, or the
         model is wrong.
-    cost : float
-        Negative logarithm of the likelihood and of the prior, but for a constant. Innovations that
-        are correlated count as fewer independent ones.
+    cost : Cost
+    settled : bool
+        Whether learning converged without leaving out blocks.
     outputs : dict
         Name → (rows,) array, see smoothing/estimate.h.
     known : (rows,) ndarray of bool
@@ -243,7 +265,8 @@ class SmoothedRecord:
     model: SmoothingModel
     assumed: Assumed
     misfit: float
-    cost: float
+    cost: Cost
+    settled: bool
     outputs: dict[str, Array]
     known: NDArray[np.bool_]
     marks: NDArray[np.int64]
@@ -293,15 +316,29 @@ def smooth_record(
     )
     outputs = {name: columns[n] for n, name in enumerate(OUTPUTS)}
     converged = bool(np.isfinite(outputs["theta_e"]).all())
-    correlation = min(max(float(about[1]), 0.0), MOST_CORRELATION)
-    cost = float(about[2]) * (1 - correlation) / (1 + correlation)
+    prior = sum((learnt.deviations[name] / model.stds[name]) ** 2 for name in model.active) / 2
+    innovations = float(about[2]) - prior
     return SmoothedRecord(
         model,
         learnt,
         float(about[0]) if converged else np.inf,
-        cost if converged else np.inf,
+        Cost(innovations if converged else np.inf, prior, max(float(about[1]), 0.0)),
+        float(about[4]) > 0,
         outputs,
         known > 0,
         samples.marks,
         np.asarray(shares),
     )
+
+
+def learn_record(model: SmoothingModel, samples: RecordSamples, start: Assumed) -> SmoothedRecord:
+    """Learn, and estimate all rows.
+
+    The flux starts from the parameters at the start. If these are far off, learning may not
+    converge or may leave out blocks that fit; it then starts once more, from what it learnt.
+    """
+    record = smooth_record(model, samples, start, learning=True)
+    if record.settled or not np.isfinite(record.cost.sum):
+        return record
+    again = smooth_record(model, samples, record.assumed, learning=True)
+    return again if again.cost.sum < record.cost.sum else record
