@@ -160,8 +160,9 @@ def main() -> None:
             ]
             for entry in pool.map(score, logs):
                 scores.append(entry)
+                encoder = "yes" if entry.log.encoder else "no"
                 print(
-                    f"    {machine:16s}{entry.log.lag:+4d}{'  yes' if entry.log.encoder else '   no'}"
+                    f"    {machine:16s}{entry.log.lag:+4d}{encoder:>5s}"
                     f"{entry.valid:8.1%}{entry.moving:8.1%}{entry.rms:7.2f}{entry.std:7.2f}"
                     f"{entry.worst:7.2f}{entry.ratio:7.2f}{entry.within:9.1%}"
                     f"  {entry.lag:+.0f} ({entry.weight:.2f})",
@@ -169,9 +170,10 @@ def main() -> None:
                 )
     far = [entry for entry in scores if not entry.ratio <= 3]
     few = [entry for entry in scores if entry.moving < 0.6]
+    seconds = np.median([entry.seconds for entry in scores])
     print(
         f"    beyond 3 sigma on a valid row: {len(far)} of {len(scores)}; valid on less than 60 % "
-        f"of the moving rows: {len(few)}; median time {np.median([e.seconds for e in scores]):.1f} s"
+        f"of the moving rows: {len(few)}; median time {seconds:.1f} s"
     )
 
 

@@ -82,7 +82,9 @@ def record(seed, offset):
     outputs = {name: offset + 0.1 * rng.random(rows) for name in OUTPUTS}
     shares = rng.random((blocks, len(QUANTITIES), len(SHARES)))
     model = type("Model", (), {"rows_per_block": 4})()
-    return SmoothedRecord(model, None, 0.01, Cost(0.0, 0.0, 0.0), True, outputs, np.ones(rows, bool), None, shares)
+    return SmoothedRecord(
+        model, None, 0.01, Cost(0.0, 0.0, 0.0), True, outputs, np.ones(rows, bool), None, shares
+    )
 
 
 def test_two_records_give_the_moments_of_their_mixture():

@@ -60,17 +60,14 @@ def test_output_of_an_identification(make, tmp_path):
         "page": page,
         "alt": rest.partition("alt=")[2],
         "facts": identification.facts,
-        "values": {name: float(value) for name, value in identification.after.values.items()},
-        "std": dict(
-            zip(
-                identification.after.free,
-                np.sqrt(np.diag(identification.after.covariance)),
-                strict=True,
-            )
-        ),
-        "alike": identification.after.alike,
         "picture": identification.plot(),
     }
+    if identification.segment_fit is not None:
+        after = identification.segment_fit.after
+        output["values"] = {name: float(value) for name, value in after.values.items()}
+        stds = np.sqrt(np.diag(after.covariance))
+        output["std"] = dict(zip(after.free, stds, strict=True))
+        output["alike"] = after.alike
     if identification.map is not None:
         identification.write(tmp_path / "map.csv")
         output["table"] = (tmp_path / "map.csv").read_text().splitlines()[::7]

@@ -6,11 +6,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from fluxobs import FluxobsError, identify, read_log
+from fluxobs import FluxobsError, estimate, identify, read_log
 from fluxobs.identification.fit import UNCERTAIN, _make_prior_rows, evaluate
 from fluxobs.identification.identify import read_free
+from fluxobs.identification.relations import SATURATION, Saturating
 from fluxobs.identification.segments import cut_segments
-from fluxobs.machines import example, example_text, read_machine
+from fluxobs.machines import AlgebraicSaturation, example, example_text, read_machine
 from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs
 from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
@@ -45,15 +46,24 @@ def steady(tmp_path_factory):
 def test_finds_resistance_magnet_and_inverter_within_their_deviations(rich):
     identified = identify(rich, PMSM, free=("R_s", "psi_f", "inverter"))
     assert not identified.untold
-    assert identified.after.converged
     for p in identified.parameters:
-        assert p.std is not None
-        assert abs(p.value - TRUE[p.name]) < 4 * p.std + 0.01 * TRUE[p.name]
-        # The considered curve of the inverter contributes 4 % of its loss.
-        assert p.std < (0.04 if p.name == "inverter" else 0.02) * TRUE[p.name]
-    assert identified.after.rms() < 0.1 * identified.before.rms()
-    assert identified.machine.R_s == pytest.approx(R_S, rel=0.01)
-    assert identified.machine.inverter_voltage == pytest.approx(INVERTER, rel=0.03)
+        assert abs(p.value - TRUE[p.name]) < 3 * p.std
+        assert p.std < (0.2 if p.name == "inverter" else 0.06) * TRUE[p.name]
+    assert identified.machine.R_s == pytest.approx(R_S, rel=0.03)
+    assert identified.machine.inverter_voltage == pytest.approx(INVERTER, rel=0.15)
+
+
+def test_the_values_are_those_of_the_estimate(rich, tmp_path):
+    """One engine: the same values and deviations, and the same machine file."""
+    identified = identify(rich, PMSM)
+    estimated = estimate(rich, PMSM)
+    assert identified.found == estimated.found
+    identified.write(tmp_path / "identified.toml")
+    estimated.write(tmp_path / "estimated.toml")
+    by_identify, by_estimate = (
+        read_machine(tmp_path / f"{name}.toml") for name in ("identified", "estimated")
+    )
+    assert by_identify == by_estimate
 
 
 def test_a_steady_log_identifies_only_the_magnet(steady):
@@ -68,68 +78,72 @@ def test_a_log_that_identifies_nothing_is_an_error(steady):
         identify(steady, PMSM, free=("lag",))
 
 
-def test_finds_a_lag(tmp_path):
-    # A row's voltage acts one sample later than the layout says.
-    speed = profile((0, 0), (0.3, 400), (1.2, 400))
-    samples = driven(PMSM, COURSE_TIME, speed, 4j * np.ones(len(speed)), noise=0.02)
-    columns = log_columns(samples)
+def test_a_log_that_does_not_fit_is_refused(rich, tmp_path):
+    """Nothing is written: the machine is another one by far."""
+    other = PMSM.with_values(L_s=8 * PMSM.L_s, psi_f=0.2 * PMSM.psi_f)
+    with pytest.raises(FluxobsError, match="no parameter can be identified"):
+        identify(rich, other)
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+def test_finds_a_lag_and_all_others(late, rich, tmp_path):
+    """A row's voltage acts `late` samples later than its row."""
+    columns = pl.read_parquet(rich.table.path).to_dict(as_series=False)
     for name in ("u_alpha", "u_beta"):
-        columns[name] = np.concatenate([columns[name][1:], columns[name][-1:]])
-    pl.DataFrame(columns).write_parquet(tmp_path / "log.parquet")
-    log = read_log(tmp_path / "log.parquet")
-    # With the default standard deviation of R_s, which is half of R_s, psi_f and lag are ambiguous.
-    assert "lag" in identify(log, PMSM, free=("psi_f", "lag")).untold
-    certain = PMSM.with_values(R_s_std=0.002, inverter_voltage=0.0, inverter_voltage_std=0.01)
-    identified = identify(log, certain, free=("psi_f", "lag"))
-    assert identified.lag == pytest.approx(-1, abs=0.05)
+        values = columns[name]
+        columns[name] = values[late:] + values[-1:] * late
+    columns = {name: np.array(values) for name, values in columns.items()}
+    identified = identify(columns, PMSM, free=("R_s", "L_s", "psi_f", "inverter", "lag"))
+    lag = next(p for p in identified.parameters if p.name == "lag")
+    assert identified.lag == -late
+    assert lag.given is None
+    assert abs(lag.value + late) < 3 * lag.std < 0.6
+    assert identified.machine.R_s == pytest.approx(R_S, rel=0.03)
+    assert identified.machine.L_s == pytest.approx(PMSM.L_s, rel=0.1)
 
 
-def test_finds_a_lag_and_all_others_from_a_distant_start(rich):
-    identified = identify(rich, PMSM, free=("R_s", "L_s", "psi_f", "inverter", "lag"))
-    # At half speed a lag is visible, but under load inductance and lag both rotate the vector.
-    assert identified.after.converged
-    assert identified.lag == pytest.approx(0, abs=0.1)
-    assert identified.machine.R_s == pytest.approx(R_S, rel=0.01)
-
-
-@pytest.mark.parametrize("stop", [0.4, 0.6, 1.0, 2.0])
-@pytest.mark.parametrize("lag", [False, True])
-def test_offsets_and_a_knee_of_the_inverter_do_not_bias_the_others(stop, lag):
+@pytest.mark.parametrize("stop", [0.6, 1.0, 2.0])
+def test_offsets_and_a_knee_of_the_inverter_do_not_bias_the_others(stop):
     # The demo log has offsets of 1 % of the rated current, which shift the sign changes of the
     # phases, and an unusual knee. Shorter logs must report which parameters they cannot identify.
     true = {"R_s": 0.36, "psi_f": 0.0125, "inverter": 0.15, "lag": 0.0}
-    free = tuple(true) if lag else tuple(true)[:3]
-    identified = identify(read_log(LOG, stop=stop), "servo-400w", free=free)
-    assert identified.after.converged
+    identified = identify(read_log(LOG, stop=stop), "servo-400w", free=tuple(true))
     for parameter in identified.parameters:
         if parameter.std is not None:
-            assert abs(parameter.value - true[parameter.name]) < 4 * parameter.std
-    if stop > 0.5:
-        assert not {"R_s", "psi_f", "inverter"} & set(identified.untold)
-        assert next(p.std for p in identified.parameters if p.name == "psi_f") < 1e-3 * 0.0125
-        assert identified.after.rms() < 0.003 * 0.0125
+            assert abs(parameter.value - true[parameter.name]) < 3 * parameter.std
+    assert {p.name for p in identified.parameters if p.std is not None} >= {"R_s", "psi_f"}
+
+
+def test_a_stated_lag_is_not_learnt(rich):
+    log = read_log(rich.table.path, lag=0)
+    lag = identify(log, PMSM, free="R_s,lag").parameters[1]
+    assert lag.given == 0
+    assert abs(lag.value) < 3 * lag.std
 
 
 def test_derivatives_are_those_of_the_residual(rich):
-    data, _ = cut_segments(rich, PMSM, (-2, -1, 0, 1, 2))
+    data, _ = cut_segments(rich, PMSM, 0.4)
     segment = data[len(data) // 2]
-    values = {"R_s": 3.0, "L_d": 0.04, "L_q": 0.05, "L_s": 0.05, "psi_f": 0.5, "inverter": 1.0}
-    values |= {"lag": 0.3, "knee 1": 0.4, "knee 2": -0.2, "offset_alpha": 0.1, "offset_beta": -0.2}
-    names = ("R_s", "L_d", "L_q", "psi_f", "inverter", "lag", *UNCERTAIN)
+    model = AlgebraicSaturation(a_d0=25.0, a_dd=3.0, a_q0=20.0, a_qq=8.0, a_dq=5.0, psi_f=0.5)
+    values = {"R_s": 3.0, "L_d": 0.04, "L_q": 0.05, "psi_f": 0.5, "inverter": 1.0}
+    values |= {name: getattr(model, name) for name in SATURATION}
+    values |= {"knee 1": 0.4, "knee 2": -0.2, "offset_alpha": 0.1, "offset_beta": -0.2}
+    names = ("R_s", "inverter", *SATURATION, *UNCERTAIN)
     start, drift = segment.start, segment.drift
-    _, local, free = evaluate(segment, values, start, drift, names)
+    relation = Saturating(model)
+    _, local, free = evaluate(segment, values, start, drift, names, relation)
     for k, name in enumerate(names):
         step = 1e-6 * (abs(values[name]) + 0.1)
         ends = [
-            evaluate(segment, values | {name: values[name] + s}, start, drift, ())[0]
+            evaluate(segment, values | {name: values[name] + s}, start, drift, (), relation)[0]
             for s in (step, -step)
         ]
         slope = (ends[0] - ends[1]) / (2 * step)
         np.testing.assert_allclose(free[:, k], slope, atol=1e-6 * np.abs(slope).max() + 1e-9)
     for k in range(4):
         step = np.eye(4)[k] * 1e-6
-        up = evaluate(segment, values, start + step[:2], drift + step[2:], ())[0]
-        down = evaluate(segment, values, start - step[:2], drift - step[2:], ())[0]
+        up = evaluate(segment, values, start + step[:2], drift + step[2:], (), relation)[0]
+        down = evaluate(segment, values, start - step[:2], drift - step[2:], (), relation)[0]
         slope = (up - down) / 2e-6
         np.testing.assert_allclose(local[:, k], slope, atol=1e-6 * np.abs(slope).max() + 1e-9)
 
@@ -141,8 +155,7 @@ def test_a_machine_without_a_magnet(tmp_path):
     samples = driven(machine, COURSE_TIME, speed, 8 + 1j * load, R_s=1.3 * machine.R_s, noise=0.02)
     log = opened(tmp_path / "log.parquet", samples)
     identified = identify(log, machine)
-    assert identified.before.free == ()
-    assert identified.machine.R_s == pytest.approx(1.3 * machine.R_s, rel=0.02)
+    assert identified.machine.R_s == pytest.approx(1.3 * machine.R_s, rel=0.03)
 
 
 def test_names_of_free_parameters():
@@ -168,7 +181,7 @@ def test_command_line(rich, tmp_path):
     assert "R_s = " in done.stdout
     assert " V (not given), its sign smoothed at" in done.stdout
     assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
-    assert read_machine(tmp_path / "found.toml").R_s == pytest.approx(R_S, rel=0.01)
+    assert read_machine(tmp_path / "found.toml").R_s == pytest.approx(R_S, rel=0.03)
     again = fluxobs(
         *("estimate", "log.parquet", "--machine", "found.toml", "--out", "e.parquet"),
         folder=tmp_path,
@@ -183,7 +196,7 @@ def test_command_line(rich, tmp_path):
         ((), "none/found.toml", "does not exist"),
         (("--report", "none/fit.png"), "x.toml", "does not exist"),
         (("--free", "R"), "x.toml", "did you mean 'R_s'"),
-        (("--to", "0.005"), "x.toml", "never known"),
+        (("--to", "0.005"), "x.toml", "no parameter can be identified"),
     ):
         failed = run(*more, out=out)
         assert failed.returncode == 2

@@ -187,5 +187,6 @@ class Passes:
             "automatic": self.automatic,
             "causal": self.causal,
             "budget": None if self.whole is None else self.whole.budget,
+            "fractional_lag": None if self.whole is None else self.whole.fractional_lag(),
             "examined": None if self.whole is None else self.whole.checked,
         }

@@ -48,6 +48,9 @@ class LogRun:
         Error budget of the position; None if the run was causal or an immersed observer ran.
     lag : LagDecision, optional
         Lag that was learnt from the log; None if it was stated or not learnt.
+    fractional_lag : (float, float), optional
+        Lag of the voltages behind the currents and its standard deviation [samples], if the whole
+        log was smoothed.
     examined : Check, optional
         Check of the log; None if it was not checked yet, or cannot be checked.
     """
@@ -66,6 +69,7 @@ class LogRun:
     causal: bool
     budget: Budget | None
     lag: LagDecision | None
+    fractional_lag: tuple[float, float] | None
     examined: Check | None
 
     @property

@@ -212,6 +212,30 @@ class WholeLog:
         difference = self._difference / self._compared if self._compared else float("nan")
         return LagDecision(lag + self.best.shift, weights, float(np.sqrt(difference)))
 
+    def fractional_lag(self) -> tuple[float, float] | None:
+        """Return the lag of the voltages behind the currents and its std [samples]; None: unknown.
+
+        A delay of the currents is part of it: only the difference changes the relation.
+        """
+        model = self.model
+        if model is None or not len(self.course.times):
+            return None
+        values, variances, weights = [], [], []
+        active = [n for n, name in enumerate(model.active) if name in ("lag", "delay")]
+        for hypothesis in self.hypotheses:
+            times = hypothesis.course.times
+            if not len(times):
+                continue
+            assumed = hypothesis.course.at(float(np.mean(times)), model)
+            late = assumed.deviations["lag"] + assumed.deviations["delay"]
+            values.append(self.run.log.layout.lag + hypothesis.shift - late)
+            variances.append(float(assumed.covariance[np.ix_(active, active)].sum()))
+            weights.append(hypothesis.weight)
+        share = np.array(weights) / sum(weights)
+        mean = float(share @ np.array(values))
+        spread = share @ (np.array(variances) + (np.array(values) - mean) ** 2)
+        return mean, float(np.sqrt(max(float(spread), 0.0)))
+
     def _weigh(self) -> None:
         """Weigh the lags by their costs; the best comes first, improbable ones go."""
         weights = weights_of(self._costs())

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import FluxobsError
 from ..estimation.learning import parameters
-from ..identification import identify
 from ..logs.log import Log
 from ..machines import RotatingMachine
 from ..machines.heat import COLD, COPPER
 from ..observers.adaptive import Learnt
 from ..observers.unknowns import ALL
 from ..presentation import Result, estimate
+from ..presentation.agreement import explains
 from ..presentation.summary import mean_of
 from .item import Item, flag_if, judge
 
@@ -152,34 +151,24 @@ def _gains_item(result: Result, learnt: Learnt) -> Item:
     )
 
 
-def lag_item(log: Log, machine: RotatingMachine, as_given: bool) -> Item:
-    """Return the item on the voltage lag; the fit includes resistance, magnets and inverter.
-
-    `as_given` says whether the given lag is the whole lag with which the relation holds best.
-    """
-    free = ["R_s", "inverter", "lag"]
-    if machine.magnets:
-        free.insert(1, machine.flux_name)
-    given = log.layout.lag
-    try:
-        fit = identify(log, machine, free=",".join(free))
-    except FluxobsError as error:
-        return Item("lag of the voltage", "cannot be told", str(error))
-    lag = next((parameter for parameter in fit.parameters if parameter.name == "lag"), None)
-    if lag is None or lag.std is None or not fit.after.converged:
-        words = "to determine this value, record changes of speed or a true angle (--truth)"
-        return Item("lag of the voltage", "cannot be told", words)
-    verdict = judge(lag.value, lag.std, LAG, given)
+def lag_item(result: Result) -> Item:
+    """Return the item on the voltage lag, from the estimate of the whole log."""
+    name, lag, decision = "lag of the voltage", result.fractional_lag, result.lag
+    words = "to determine this value, record changes of speed under load, or state --lag"
+    if lag is None or not explains(result):
+        return Item(name, "cannot be told", words)
+    value, std = lag
+    if decision is not None:
+        if not decision.decided:
+            weights = " or ".join(f"{lag:+g} ({w:.0%})" for lag, w in decision.weights.items())
+            return Item(name, "cannot be told", f"{weights} fit; {words}")
+        return Item(name, "fine", f"learnt from the log: {decision.lag:+g}", value, std, "samples")
+    given = result.log.layout.lag
+    verdict = judge(value, std, LAG, given)
     words = f"read with --lag {given:g}"
-    if verdict == "look at it" and as_given:
-        words = (
-            f"a fit gives {lag.value:.2f}, but the best whole lag is "
-            f"{given:g}: the log is too short or too uniform to decide"
-        )
-        return Item("lag of the voltage", "cannot be told", words)
     if verdict == "look at it":
-        words += f"; try --lag {lag.value:.2f}"
-    return Item("lag of the voltage", verdict, words, lag.value, lag.std, "samples")
+        words += f"; try --lag {round(value):g}"
+    return Item(name, verdict, words, value, std, "samples")
 
 
 def truth_items(result: Result) -> list[Item]:

@@ -70,13 +70,12 @@ class Examination(Check):
             return (*check_sampling(log, 0.0), *items)
         series = result.statistics.thin.columns()
         valid = series["valid"] > 0
-        lag_as_given = all(finding.as_given for finding in self.findings if finding.kind == "lag")
         speed = float(abs(series["speed_e"][valid]).max()) if valid.any() else 0.0
         return (
             *check_sampling(log, speed),
             *items,
             *learnt_items(result, self.cold_resistance),
-            lag_item(log, self.machine, lag_as_given),
+            lag_item(result),
             *rest_items(log, self.machine, result.scales, series),
             *truth_items(result),
         )

@@ -1,6 +1,6 @@
 """Identification of machine and inverter parameters from whole logs."""
 
-from .fit_result import Parameter
 from .identify import Identification, identify
+from .values import Parameter
 
 __all__ = ["Identification", "Parameter", "identify"]

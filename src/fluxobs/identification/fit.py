@@ -1,13 +1,9 @@
 """Nonlinear least squares over a whole log: parameters from the machine's relation.
 
 The flux of a segment is λ = λ₀ + ∫ (u - R i - V_d S(i)) dt + θ t. Each segment has its own λ₀ and
-drift θ. The flux is linear in λ₀, θ, R and V_d. The residual of a machine with a magnet or saliency
-is
-
-    r = |x| - ψ - (L_d - L_q) (x·i) / |x|,        x = λ - L_q i
-
-(docs/theory.md, section 13). The method is Gauss-Newton with Huber's weights. A QR decomposition
-eliminates λ₀ and θ of each segment, so the effort is proportional to the number of rows.
+drift θ. The flux is linear in λ₀, θ, R and V_d; the relations are in `relations`. The method is
+Gauss-Newton with Huber's weights. A QR decomposition eliminates λ₀ and θ of each segment, so the
+effort is proportional to the number of rows.
 """
 
 from __future__ import annotations
@@ -21,9 +17,8 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array
 from ..core.robust import huber_loss, huber_weight
-from ..logs.record import LAGS
 from ..observers.thresholds import CORRELATION_LIMIT
-from .relations import SATURATION, Linearisation, ResidualFunction, linear
+from .relations import SATURATION, Linearisation, ResidualFunction
 from .segments import Segment
 
 ITERATIONS, HALVINGS = 60, 12
@@ -38,8 +33,6 @@ NEARLY = 0.1
 #: Number of rows, about an eighth of a turn, that count as one measurement against a prior. Reason:
 #: their errors repeat.
 REPEATED = 20.0
-#: Within this distance of a whole lag, the derivatives of both sides are averaged [samples].
-NEAR_WHOLE = 0.05
 #: Nuisance parameters of the inverter: shares of harder knees, which sharpen its sign function, and
 #: current offsets [A], which shift it. The fit uses priors for them but does not report them.
 UNCERTAIN = ("knee 1", "knee 2", "offset_alpha", "offset_beta")
@@ -113,10 +106,10 @@ def evaluate(
     start: Array,
     drift: Array,
     free: Sequence[str],
-    relation: ResidualFunction = linear,
+    relation: ResidualFunction,
 ) -> tuple[Array, Array, Array]:
     """Return the residual (rows,), derivatives by (λ₀, θ), and derivatives by `free`."""
-    linearised, lag_slope = _linearise(segment, values, start, drift, relation)
+    linearised = _linearise(segment, values, start, drift, relation)
     to_flux = np.stack([linearised.to_flux.real, linearised.to_flux.imag], axis=1)
     to_start = to_flux
     if linearised.to_start is not None:
@@ -125,7 +118,7 @@ def evaluate(
     columns = [
         linearised.by_name[name]
         if name in linearised.by_name
-        else _dot(to_flux, lag_slope if name == "lag" else _flux_derivative(segment, values, name))
+        else _dot(to_flux, _flux_derivative(segment, values, name))
         for name in free
     ]
     return linearised.residual, local, np.reshape(columns, (len(free), len(segment))).T
@@ -147,37 +140,13 @@ def _linearise(
     start: Array,
     drift: Array,
     relation: ResidualFunction,
-) -> tuple[Linearisation, Array]:
-    """Linearise the relation for a segment; return also the derivative of the flux by the lag."""
-    i, lag = segment.current, values["lag"]
-    if len(segment.voltage) == 1:
-        u, lag_slope = segment.voltage[0], np.zeros_like(i)
-    else:
-        u, lag_slope = _voltage_at_lag(segment.voltage, lag - LAGS[0])
-    flux = start + u - values["R_s"] * segment.charge
+) -> Linearisation:
+    """Linearise the relation for a segment."""
+    flux = start + segment.voltage - values["R_s"] * segment.charge
     if values["inverter"]:
         flux = flux - values["inverter"] * _inverter_loss(segment, values)
     flux = flux + drift * segment.t[:, None]
-    return relation(flux @ ALPHA_BETA, i @ ALPHA_BETA, values), lag_slope
-
-
-def _voltage_at_lag(voltage: Array, lag: float) -> tuple[Array, Array]:
-    """Return ∫ u dt at a lag, which counts from the first lag, and the derivative by the lag.
-
-    The integral is linear between whole lags, so its derivative jumps at a whole lag. Close to a
-    whole lag, the derivative is therefore a weighted mean of both sides.
-    """
-    last = len(voltage) - 1
-    lower = int(np.clip(np.floor(lag), 0, last - 1))
-    slope = voltage[lower + 1] - voltage[lower]
-    u = voltage[lower] + (lag - lower) * slope
-    nearest = int(np.clip(round(lag), 1, last - 1))
-    if abs(lag - nearest) < NEAR_WHOLE:
-        share = (1 + (lag - nearest) / NEAR_WHOLE) / 2
-        slope = share * (voltage[nearest + 1] - voltage[nearest]) + (1 - share) * (
-            voltage[nearest] - voltage[nearest - 1]
-        )
-    return u, slope
+    return relation(flux @ ALPHA_BETA, segment.current @ ALPHA_BETA, values)
 
 
 def _nuisance_changes(segment: Segment) -> dict[str, Array]:
@@ -207,13 +176,9 @@ def _apply_step(values: Mapping[str, float], free: Sequence[str], step: Array) -
 
 
 def _are_possible(values: Mapping[str, float]) -> bool:
-    """Return whether the values are physically possible and the lag is in range."""
+    """Return whether the values are physically possible."""
     positive = ("R_s", "L_d", "L_q", "R_R", "L_M")
-    return (
-        all(values[name] > 0 for name in positive if name in values)
-        and values["psi_f"] >= 0
-        and LAGS[0] <= values["lag"] <= LAGS[-1]
-    )
+    return all(values[name] > 0 for name in positive if name in values) and values["psi_f"] >= 0
 
 
 def _cost(residuals: Sequence[Array], scale: float) -> float:
@@ -232,7 +197,8 @@ def fit(
     free: Sequence[str],
     local: Sequence[tuple[Array, Array]] | None = None,
     held: Mapping[str, float] | None = None,
-    relation: ResidualFunction = linear,
+    *,
+    relation: ResidualFunction,
     prior: Mapping[str, tuple[float, float]] | None = None,
     model_error: float = 0.0,
 ) -> ParameterFit:
@@ -242,7 +208,7 @@ def fit(
     ----------
     data : sequence of Segment
     start : mapping
-        R_s, L_d, L_q (and L_s), psi_f, inverter, lag.
+        R_s, L_d, L_q (and L_s), psi_f, inverter.
     free : sequence of str
         Parameters to fit. Without any, only λ₀ and θ of the segments are fitted.
     local : sequence of ((2,) array, (2,) array), optional
@@ -251,7 +217,6 @@ def fit(
         Standard deviations of parameters. The covariance contains the effect of parameters that are
         not free.
     relation : ResidualFunction
-        Default: constant inductances.
     prior : mapping of str to (float, float), optional
         Prior mean and standard deviation of free parameters.
     model_error : float
@@ -319,7 +284,7 @@ def fit(
             converged = True
             break
     current = [
-        _linearise(segment, values, *local_values, relation)[0].current
+        _linearise(segment, values, *local_values, relation).current
         for segment, local_values in zip(data, current_local, strict=True)
     ]
     covariance, own, alike, residuals = _uncertainty(

@@ -16,7 +16,7 @@ from ..logs.for_machine import open_for
 from ..logs.read import Source
 from ..machines import Machine, MachineSource, as_machine, rotating
 from ..machines.heat import COPPER, NEODYMIUM
-from .identify import Identification, identify, identify_logs, read_free
+from .identify import Identification, combine, identify, read_free
 
 #: A log disagrees if a parameter differs from that of the other logs by this many standard
 #: deviations and by this share: smaller differences do not matter in practice.
@@ -91,7 +91,7 @@ class Pooled:
     Attributes
     ----------
     together : Identification
-        Identification from segments of all usable logs.
+        The parameters of the machine from all usable logs.
     alone : tuple of LogFit
         Identification from each log alone, in the given order.
     twice : dict
@@ -159,7 +159,7 @@ def identify_many(
     progress: Callable[[int, int], Any] = lambda done, total: None,
     **layout: Any,
 ) -> Pooled:
-    """Fit one machine to segments of many logs, and find the logs that disagree.
+    """Identify one machine from many logs, and find the logs that disagree.
 
     Parameters
     ----------
@@ -196,8 +196,11 @@ def identify_many(
     if not useful:
         reasons = "; ".join(f"{Path(path).name}: {why}" for path, (_, why) in fits.items())
         raise FluxobsError(f"none of {len(paths)} logs identifies a parameter ({reasons})")
-    together = identify_logs(
-        [open_for(path, rotating_machine, **layout) for path in useful], rotating_machine, names
+    together = combine(
+        [open_for(path, rotating_machine, **layout) for path in useful],
+        rotating_machine,
+        names,
+        [fits[path][0] for path in paths if fits[path][0]],
     )
     progress(total, total)
     told_by = {path: fit for path, (fit, _) in fits.items()}

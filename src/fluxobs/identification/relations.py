@@ -1,7 +1,7 @@
 """Relations between flux and current: residuals over a log, with derivatives.
 
 For the rows of a segment, a relation returns the residual and its derivatives by the flux and by
-the parameters of the relation. The angle is eliminated (docs/theory.md, sections 13 and 14).
+the parameters of the relation. The angle is eliminated (docs/theory.md, sections 14 and 15).
 """
 
 from __future__ import annotations
@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from ..core.arrays import Array
 from ..machines import AlgebraicSaturation
-from ..machines.model.flux_map import FluxMap
-from ..machines.model.relation import linearise
 
 Complex = NDArray[np.complex128]
 
@@ -61,42 +59,6 @@ class ResidualFunction(Protocol):
     ) -> Linearisation:
         """Return residual and derivatives of all rows, from flux [Wb] and current [A]."""
         ...
-
-
-def linear(flux: Complex, current: Complex, values: Mapping[str, float]) -> Linearisation:
-    """Constant inductances: ``|x| - ψ - (L_d - L_q) i_d``, x = λ - L_q i."""
-    point = linearise(flux, current, values["L_d"], values["L_q"])
-    by_name = {
-        "psi_f": -np.ones(len(current)),
-        "L_s": -point.i_d,
-        "L_d": point.by_L_d,
-        "L_q": point.by_L_q,
-    }
-    residual = point.length - values["psi_f"] - point.from_current
-    return Linearisation(residual, point.by_flux, by_name, current * point.direction.conj())
-
-
-@dataclass(frozen=True, eq=False)
-class Mapped:
-    """Flux map: ``|x| - a_d``, x = λ - e^{jφ}(F - a_d), with the auxiliary flux a.
-
-    If the magnet flux differs from that of the map, the difference adds to F. `L_q` gives the
-    initial angle.
-    """
-
-    flux_map: FluxMap
-    psi_f: float
-
-    def __call__(
-        self, flux: Complex, current: Complex, values: Mapping[str, float]
-    ) -> Linearisation:
-        x, i, a = self.flux_map.position_vector(flux, current, values["L_q"])
-        length = np.abs(x)
-        direction = x / length
-        residual = length - np.abs(a.real) - (values["psi_f"] - self.psi_f)
-        tilt = a.imag / np.where(np.abs(a.real) > 1e-9, a.real, np.inf)
-        to_flux = direction * (1 + 1j * tilt)
-        return Linearisation(residual, to_flux, {"psi_f": -np.ones(len(current))}, i)
 
 
 #: Parameters of the algebraic model that can be identified.

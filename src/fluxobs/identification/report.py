@@ -13,8 +13,10 @@ from ..core.plots import BLUE, FORMATS, GREY, HTML, ORANGE, STYLE, legend, new_f
 from ..core.plots import write as save
 from ..errors import FluxobsError
 from ..machines.saving import write_machine
-from .fit_result import ADVICE, FittedParameters, Parameter
+from .fit_result import FittedParameters
 from .map_fit import FoundMap
+from .segment_fit import SegmentFit
+from .values import ADVICE, Parameter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def lines(fit: FittedParameters) -> list[str]:
-    """Return lines: one for each parameter, then unidentified parameters, then the residual."""
+    """Return lines: one for each parameter, then unidentified parameters, then how it fits."""
     sentences = []
     for parameter in fit.parameters:
         given_text = "not given" if parameter.given is None else f"given {parameter.given:.4g}"
@@ -43,14 +45,27 @@ def lines(fit: FittedParameters) -> list[str]:
             f"This log cannot identify {', '.join(fit.untold)}: held at the given value; the "
             f"other values depend on it. {ADVICE}."
         )
-    used = sum(len(piece) for piece in fit.pieces)
-    if used < 0.99 * fit.rows:
+    if fit.segment_fit is not None:
+        sentences += _describe_fit(fit.segment_fit, fit.rows)
+    elif fit.run is not None:
+        statistics = fit.run.statistics
         sentences.append(
-            f"{used} of {fit.rows} rows were used: segments without a gap in which the position "
+            f"The position is valid on {statistics.valid / statistics.rows:.1%} of the rows; "
+            f"lag {fit.lag:+g}"
+        )
+    return sentences
+
+
+def _describe_fit(fit: SegmentFit, rows: int) -> list[str]:
+    """Return lines on rows and residual of a fit to segments."""
+    sentences = []
+    used = sum(len(segment) for segment in fit.segments)
+    if used < 0.99 * rows:
+        sentences.append(
+            f"{used} of {rows} rows were used: segments without a gap in which the position "
             f"is known"
         )
-    size = _reference_flux(fit)
-    before, after = fit.before.rms() / size, fit.after.rms() / size
+    before, after = fit.before.rms() / fit.flux, fit.after.rms() / fit.flux
     sentences.append(
         f"Residual: {before:.2%} of the flux with the {_describe_given(fit)}, {after:.2%} with the "
         f"identified ones"
@@ -60,21 +75,15 @@ def lines(fit: FittedParameters) -> list[str]:
     return sentences
 
 
-def _reference_flux(fit: FittedParameters) -> float:
-    """Return the flux that residuals refer to: the magnet flux, or the mean initial flux [Wb]."""
-    lengths = [np.linalg.norm(piece.start) for piece in fit.pieces]
-    return fit.after.values["psi_f"] or float(np.mean(lengths))
-
-
 def _note(parameter: Parameter, fit: FittedParameters) -> str:
-    if parameter.name == "inverter":
-        return f", its sign smoothed at inverter_current = {fit.inverter_current:.3g} A"
+    if parameter.name == "inverter" and fit.machine.inverter_current is not None:
+        return f", its sign smoothed at inverter_current = {fit.machine.inverter_current:.3g} A"
     if parameter.name == "lag":
-        return f"; a machine file has no lag: give --lag {parameter.value:.2g}"
+        return "; the machine file has no lag: state it with the log"
     return ""
 
 
-def _describe_given(fit: FittedParameters) -> str:
+def _describe_given(fit: SegmentFit) -> str:
     name = fit.machine.flux_name
     return f"given values ({name} fitted)" if fit.before.free else "given values"
 
@@ -123,23 +132,33 @@ def html_of(fit: FittedParameters) -> str:
         for parameter in fit.parameters
     ]
     sentences = lines(fit)[len(fit.parameters) :]
-    parameter_table = table(("parameter", "found", "unit", "given", ""), rows)
-    return parameter_table + bullets(sentences) + picture(figure(fit), " ".join(sentences))
+    text = table(("parameter", "value ± σ", "unit", "given", ""), rows) + bullets(sentences)
+    if fit.segment_fit is None and fit.run is None:
+        return text
+    return text + picture(figure(fit), " ".join(sentences))
 
 
 def figure(fit: FittedParameters) -> Figure:
-    """Draw the residual over time, before and after the fit, and the identified map if any."""
+    """Draw the map and the residual of its fit, or the parameters over time."""
     import matplotlib as mpl
 
+    from ..presentation.picture import figure as picture_of
+
+    if fit.segment_fit is None:
+        if fit.run is None:
+            raise FluxobsError("there is no picture of values from several logs")
+        names = {"R_s": "resistance", "inverter": "inverter_voltage", "psi_f": "psi_f"}
+        panels = [names[p.name] for p in fit.parameters if p.name in names]
+        return picture_of(fit.run, fit.run.truth_fit, "screen", [*panels, "budget"])
     with mpl.rc_context(STYLE):
         if fit.map is None:
             drawing = new_figure(figsize=(9, 4.5))
-            _plot_residuals(drawing.subplots(), fit)
+            _plot_residuals(drawing.subplots(), fit.segment_fit)
         else:
             drawing = new_figure(figsize=(9, 8.5))
             axes = drawing.subplot_mosaic([["d", "q"], ["residual", "residual"]])
             _plot_map(axes["d"], axes["q"], fit.map)
-            _plot_residuals(axes["residual"], fit)
+            _plot_residuals(axes["residual"], fit.segment_fit)
     return drawing
 
 
@@ -177,15 +196,15 @@ def _plot_map(along_d: Axes, along_q: Axes, flux_map: FoundMap) -> None:
     )
 
 
-def _plot_residuals(axes: Axes, fit: FittedParameters) -> None:
-    size = _reference_flux(fit)
+def _plot_residuals(axes: Axes, fit: SegmentFit) -> None:
+    size = fit.flux
     styles = (
         (fit.before, _describe_given(fit), ORANGE),
         (fit.after, "identified values", BLUE),
     )
     for fitted, label, colour in styles:
         start = 0.0
-        for k, (piece, residual) in enumerate(zip(fit.pieces, fitted.residuals, strict=True)):
+        for k, (piece, residual) in enumerate(zip(fit.segments, fitted.residuals, strict=True)):
             axes.plot(
                 start + piece.t,
                 100 * residual / size,

@@ -20,12 +20,9 @@ from ..observers import LeastSquaresObserver
 from ..observers.adaptive import OFFSET_SHARE
 from ..observers.for_log import plain_for
 
-#: A segment lasts this many turns, but at least this time [s] and this many rows. The drift within
-#: a segment is assumed constant.
-TURNS, SECONDS, SHORTEST = 2.5, 0.4, 100
-#: A cage's flux is constant if its length stays within this share of the typical length: a wrong
-#: R_s changes the length by less, field weakening by more.
-SAME_FLUX = 0.08
+#: A segment lasts this many turns, but at least this many rows. The drift within a segment is
+#: assumed constant.
+TURNS, SHORTEST = 2.5, 100
 #: Two harder knees of the inverter's sign, as shares of the usual knee. All three knees together
 #: approximate any usual curve well enough for a right R_s and V_d
 #: (tests/identification/test_identify.py); with only the last knee, V_d of the demo log was 7 % too
@@ -43,8 +40,8 @@ class Segment:
         Time since the first row [s].
     current : (rows, 2) array
         [A].
-    voltage : (lags, rows, 2) array
-        ∫ u dt [Vs] for each lag.
+    voltage : (rows, 2) array
+        ∫ u dt [Vs].
     charge : (rows, 2) array
         ∫ i dt [As].
     inverter : (rows, 2) array
@@ -98,15 +95,12 @@ def offset_std(machine: RotatingMachine, scales: Scales) -> float:
 def cut_segments(
     log: Log,
     machine: RotatingMachine,
-    lags: tuple[int, ...],
-    seconds: float = SECONDS,
-    moving: bool = False,
+    seconds: float,
 ) -> tuple[list[Segment], Scales]:
     """Cut a log into segments at gaps and after `seconds` or TURNS, whichever is longer.
 
     The observer's most certain row gives the initial flux of a segment. Segments in which the
-    observer never knows the position are skipped. Segments in which the flux of a cage changes are
-    skipped unless `moving`.
+    observer never knows the position are skipped.
 
     Raises
     ------
@@ -116,17 +110,9 @@ def cut_segments(
     observer, scales = plain_for(log, machine)
     segments: list[Segment] = []
     smoothing = smoothing_current(machine, scales)
-    for excerpts_by_lag in zip(*(excerpts(log.lagged(lag)) for lag in lags), strict=True):
-        voltage = np.stack([excerpt.voltage for excerpt in excerpts_by_lag])
-        settings = lags.index(0), machine.R_s, smoothing, offset_std(machine, scales), seconds
-        segments += cut_excerpt(observer, excerpts_by_lag[0].current, voltage, *settings)
-    if machine.flux_moves and segments and not moving:
-        segments = _keep_constant_flux(segments)
-        if not segments:
-            raise FluxobsError(
-                f"{log.table.path}: the rotor flux is never constant for {SECONDS:g} s; record a "
-                f"log with constant rotor flux"
-            )
+    for excerpt in excerpts(log):
+        settings = machine.R_s, smoothing, offset_std(machine, scales), seconds
+        segments += cut_excerpt(observer, excerpt.current, excerpt.voltage, *settings)
     if not segments:
         raise FluxobsError(
             f"{log.table.path}: the position is never known, so no parameter can be identified. "
@@ -135,51 +121,34 @@ def cut_segments(
     return segments, scales
 
 
-def _keep_constant_flux(segments: list[Segment]) -> list[Segment]:
-    """Return the segments in which the flux always has its typical length."""
-    typical = float(np.median([segment.lengths.mean() for segment in segments]))
-    return [
-        segment
-        for segment in segments
-        if np.abs(segment.lengths - typical).max() < SAME_FLUX * typical
-    ]
-
-
 def cut_excerpt(
     observer: LeastSquaresObserver,
     current: Array,
     voltage: Array,
-    given_lag: int,
     R_s: float,
     smoothing: float,
     offset: float,
     seconds: float,
 ) -> list[Segment]:
-    """Cut an excerpt of a log into segments.
-
-    `current` has shape (rows, 2), `voltage` (lags, rows, 2); the observer uses the lag with index
-    `given_lag`.
-    """
+    """Cut an excerpt of a log, with currents and voltages (rows, 2), into segments."""
     h, segments = observer.sample_time, []
-    estimate = observer.run(voltage[given_lag], current)
-    missing = ~np.isfinite(current).all(axis=1) | ~np.isfinite(voltage).all(axis=(0, 2))
+    estimate = observer.run(voltage, current)
+    missing = ~np.isfinite(current).all(axis=1) | ~np.isfinite(voltage).all(axis=1)
     good: NDArray[np.bool_] = np.logical_not(missing)
     speed = np.abs(estimate.speed_e[estimate.valid])
     turns_time = TURNS * 2 * np.pi / np.median(speed) if len(speed) else 0.0
     rows = max(SHORTEST, round(max(seconds, turns_time) / h))
-    voltage = without_kinks(voltage, observer.held, axis=1)
+    voltage = without_kinks(voltage, observer.held, axis=0)
     for run in _runs_of_rows(good, rows):
         valid = np.flatnonzero(estimate.valid[run])
         if len(valid):
             best_row = valid[np.argmin(estimate.theta_e_std[run][valid])]
             start, drift = estimate.flux[run][best_row], estimate.drift[run][best_row]
-            arrays = current[run], voltage[:, run]
+            arrays = current[run], voltage[run]
             psi = estimate.psi_f[run][valid]
             lengths = np.quantile(psi, [0.02, 0.98])
             signs = _integrate_signs(h, mean_current(current[run], axis=0), smoothing, offset)
-            segments.append(
-                _make_segment(h, *arrays, given_lag, R_s, signs, best_row, start, drift, lengths)
-            )
+            segments.append(_make_segment(h, *arrays, R_s, signs, best_row, start, drift, lengths))
     return segments
 
 
@@ -198,7 +167,6 @@ def _make_segment(
     h: float,
     current: Array,
     voltage: Array,
-    given_lag: int,
     R_s: float,
     signs: tuple[Array, Array, Array, Array],
     best_row: int,
@@ -210,7 +178,7 @@ def _make_segment(
     integrals = [h * np.cumsum(x, axis=-2) for x in (voltage, mean)]
     u, i = (x - x[..., :1, :] for x in integrals)
     t = np.asarray(h * np.arange(len(current)), float)
-    start = flux - (u[given_lag] - R_s * i)[best_row] - drift * t[best_row]
+    start = flux - (u - R_s * i)[best_row] - drift * t[best_row]
     return Segment(t, current, u, i, *signs, start, drift, lengths)
 
 

@@ -61,7 +61,7 @@ def warnings(result: LogRun, checked: Check | None, fit: TruthFit | None = None)
         *_truth(result),
         *([] if fit is None or fit.lost is None else [f"Channel {fit.channel}: {fit.lost}."]),
         *_rate(result),
-        *_misfit(result),
+        *misfit_warnings(result),
         *_validity(result),
         *(
             []
@@ -71,7 +71,7 @@ def warnings(result: LogRun, checked: Check | None, fit: TruthFit | None = None)
     ]
 
 
-def _misfit(result: LogRun) -> list[str]:
+def misfit_warnings(result: LogRun) -> list[str]:
     """Warn of a log that does not fit the model within what the budget allows."""
     budget = result.budget
     if budget is None:

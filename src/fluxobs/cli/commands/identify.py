@@ -34,13 +34,16 @@ def identify(
         ),
     ],
     machine: MachineOption,
-    out: Annotated[Path, typer.Option(help="Machine file to write, .toml.")],
     layout: dict[str, Any],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Machine file to write, .toml; default: only print the values."),
+    ] = None,
     free: Annotated[
         str | None,
         typer.Option(
-            help="Parameters to fit: R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, "
-            "L_M, inverter, lag. map: the saturation of the machine. R_R, L_M: the cage of an "
+            help="Parameters to identify: R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, "
+            "R_R, L_M, inverter, lag. map: the saturation of the machine. R_R, L_M: the cage of an "
             "induction machine, identifiable if the flux changes; R_R also with --truth "
             "speed_mech=COLUMN. Default R_s,psi_f,inverter, if the machine has them. Other "
             "parameters keep their values."
@@ -49,8 +52,8 @@ def identify(
     report: Annotated[
         Path | None,
         typer.Option(
-            help="Report to write: .html; or a picture (.png, .pdf, .svg) of the residual and of a "
-            "flux map."
+            help="Report to write: .html; or a picture (.png, .pdf, .svg) of the parameters over "
+            "time, or of a flux map."
         ),
     ] = None,
     workers: WorkersOption = None,
@@ -59,16 +62,18 @@ def identify(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Fit the machine's parameters and the inverter's voltage loss to one log or many.
+    """Identify the machine's parameters and the inverter's voltage loss from one log or many.
 
-    Prints each parameter with its standard deviation. Parameters that the log cannot identify keep
-    their values, and the output says why. `fluxobs estimate` reads the machine file written here
-    and subtracts the inverter's loss (inverter_voltage) from the commanded voltages. The file does
-    not contain the lag. If no parameter can be identified, no file is written (exit code 2).
+    Prints each parameter with its standard deviation; values and deviations are those of `fluxobs
+    estimate`. --free adds inductances, a flux map, or the rotor of a cage. Parameters that the log
+    cannot identify keep their values, and the output says why. --out writes a machine file with
+    the values; `fluxobs estimate` subtracts its inverter loss (inverter_voltage) from the commanded
+    voltages. The file does not contain the lag. If nothing fits, or no parameter can be identified,
+    no file is written (exit code 2).
 
-    With many logs, fits each log alone and segments of all logs together. Lists the logs that
-    contradict the common fit and a likely cause: heat, ageing, another motor. Exit code 1: one of
-    many logs identifies no parameter.
+    With many logs, identifies each log alone and the machine from all logs. Lists the logs that
+    contradict the others and a likely cause: heat, ageing, another motor. Exit code 1: one of many
+    logs identifies no parameter.
 
     Example: fluxobs identify LOG.csv --machine motor.toml --out found.toml --report fit.png
     """
@@ -79,8 +84,10 @@ def identify(
 
     paths = _local_paths(logs)
     for path in paths:
-        refuse_input_as_output(out, path, layout.get("record"))
-    check_machine_file(out, force)
+        if out is not None:
+            refuse_input_as_output(out, path, layout.get("record"))
+    if out is not None:
+        check_machine_file(out, force)
     if report is not None:
         check_path(report)
         check_new(report, REPORTS, force, "--report")
@@ -101,14 +108,19 @@ def identify(
             facts, lines, fit = pooled.facts, pooled.lines(), pooled.together
             some_failed = bool(pooled.failed)
         else:
-            fit = run(paths[0], machine, free=free, **layout)
+            fit = run(paths[0], machine, free=free, progress=progress, **layout)
             facts, lines = fit.facts, fit.lines()
-        fit.write(out, force=force)
+        if out is not None:
+            fit.write(out, force=force)
         if report is not None:
             check_new(report, REPORTS, force, "--report")  # again: the file may exist by now
             fit.write(report)
     if as_json:
-        typer.echo(json.dumps(facts | {"written": str(out)}, indent=1, ensure_ascii=False))
+        typer.echo(
+            json.dumps(
+                facts | {"written": None if out is None else str(out)}, indent=1, ensure_ascii=False
+            )
+        )
     elif not quiet:
         for line in lines:
             show.echo(line)
