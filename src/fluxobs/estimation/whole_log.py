@@ -50,6 +50,7 @@ from .anchors import (
 from .budget import Budget
 from .columns import EstimateRows, rows_of
 from .course import Course, Learning, course_of, no_course
+from .encoder import delay_cost
 from .events import LEAST_ANCHORS, SUSPICIOUS_MISFIT, EventSearch
 from .fit import (
     contradiction,
@@ -339,7 +340,7 @@ class WholeLog:
             return segment, self._learn_all(model, segment, anchors, hypotheses)
 
         for segment, records in in_parallel(learn, self._anchored_segments(count)):
-            self._add_costs(hypotheses, records)
+            self._add_costs(hypotheses, records, segment)
             time = float(segment.samples.t[len(segment.valid) // 2])
             for n, record in enumerate(records):
                 learnings[n].append(Learning(time, record.assumed, record.misfit))
@@ -415,12 +416,18 @@ class WholeLog:
             for hypothesis in hypotheses
         ]
 
-    def _add_costs(self, hypotheses: list[Hypothesis], records: list[SmoothedRecord]) -> None:
+    def _add_costs(
+        self, hypotheses: list[Hypothesis], records: list[SmoothedRecord], rows: Anchored
+    ) -> None:
         """Add what a record of each hypothesis costs."""
+        truth, lag_is_known = rows.samples.truth, len(self.hypotheses) < 2
         comparable = len({record.model.rows_per_block for record in records}) == 1
         best = min(records, key=rank)
         for hypothesis, record in zip(hypotheses, records, strict=True):
             cost = record.cost
+            if not lag_is_known:
+                late = delay_cost(record, truth, self.run.log, self.machine)
+                cost = replace(cost, prior=cost.prior + late)
             if not comparable and record is not best:  # another start with other blocks fits better
                 cost = replace(cost, innovations=best.cost.innovations + UNLIKELY)
             hypothesis.costs.append(cost)
@@ -624,7 +631,7 @@ class WholeLog:
 
         def learn(hypotheses: list[Hypothesis]) -> None:
             learnt = self._learn_all(model, rows, anchors, hypotheses)
-            self._add_costs(hypotheses, learnt)
+            self._add_costs(hypotheses, learnt, rows)
             for hypothesis, record in zip(hypotheses, learnt, strict=True):
                 learning = Learning(time, record.assumed, record.misfit)
                 hypothesis.course = course_of(model, [learning])
