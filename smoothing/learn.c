@@ -24,6 +24,10 @@ enum { ITERATIONS = 16, FLUX_FIRST = 3, POLISHING = 2 };
 #define WORSE 5.0
 /* Voltage error of every inverter besides, as a share of the usual voltage. */
 #define USUAL_VOLTAGE_SHARE 0.001
+/* Below this share of the rated current, an offset decides which phases lose voltage: the error of
+ * the inverter's loss is larger by this factor at zero current. */
+#define IDLE_CURRENT 0.05
+#define IDLE_ERROR 3.0
 /* The voltage error is constant at most this long [s]. */
 #define LONGEST_ERROR 1.5
 /* A cage's flux differs from that of its model by this share of the rated flux. */
@@ -99,7 +103,9 @@ double fo_flux_walk(const fo_work *w, const double p[FO_P], size_t block)
 {
     const fo_model *m = w->model;
     const fo_block_facts *b = &w->about[block];
-    const double inverter = fo_inverter_error(m, p), source = FO_VOLTAGE_SHARE * b->voltage, usual = USUAL_VOLTAGE_SHARE * m->voltage;
+    const double current = hypot(b->current.re, b->current.im) / (IDLE_CURRENT * m->current),
+                 idle = 1.0 / (1.0 + current * current * current * current),
+                 inverter = fo_inverter_error(m, p) * (1.0 + IDLE_ERROR * idle), source = FO_VOLTAGE_SHARE * b->voltage, usual = USUAL_VOLTAGE_SHARE * m->voltage;
     const double rate = b->rotation / (m->sample_time * (double)w->per_block);
     return 2.0 * (inverter * inverter + source * source + usual * usual) /
            fmax(rate, 1.0 / LONGEST_ERROR);
