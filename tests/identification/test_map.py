@@ -39,7 +39,7 @@ def identified(log):
 
 def test_fluxes_in_the_visited_region_and_their_standard_deviations(identified):
     """Errors are below 3 % of the flux, and 95 % of them within three standard deviations."""
-    assert identified.after.converged
+    assert identified.segment_fit.after.converged
     assert identified.machine.R_s == pytest.approx(0.63, rel=0.005)
     currents = (identified.map.visited[:, None] * np.array([0.9, 0.95, 1.0])).ravel()
     currents = currents[identified.map.inside(currents)]

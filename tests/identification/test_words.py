@@ -7,8 +7,9 @@ import pytest
 
 from fluxobs import FluxobsError
 from fluxobs.identification import report, rotor_resistance
-from fluxobs.identification.fit_result import Parameter, in_the_file
 from fluxobs.identification.pooled import LogFit, Pooled, _find_differences
+from fluxobs.identification.segment_fit import SegmentFit
+from fluxobs.identification.values import Parameter, in_the_file
 from support.records import PMSM
 
 
@@ -143,17 +144,22 @@ def fitted(used=99, psi_f=0.5, free=("psi_f",), converged=True):
         values = {"psi_f": psi_f}
         return SimpleNamespace(rms=lambda: rms, values=values, free=free, converged=converged)
 
+    segments = SimpleNamespace(
+        segments=[segment, empty],
+        before=fit(0.01, free),
+        after=fit(0.005, ("R_s",)),
+        machine=PMSM,
+    )
+    segments.flux = SegmentFit.flux.fget(segments)
     return SimpleNamespace(
         parameters=PARAMETERS,
         untold={"L_s": "no current along d"},
         map=None,
-        pieces=[segment, empty],
+        run=None,
         rows=100,
-        before=fit(0.01, free),
-        after=fit(0.005, ("R_s",)),
-        machine=PMSM,
-        inverter_current=0.125,
+        machine=PMSM.with_values(inverter_current=0.125),
         source="a.csv",
+        segment_fit=segments,
     )
 
 
@@ -162,7 +168,7 @@ def test_a_report_in_lines():
     assert lines[:4] == [
         "R_s = 1.235 ± 0.012 Ω (given 1)",
         "inverter = 0.5 ± 0.1 V (not given), its sign smoothed at inverter_current = 0.125 A",
-        "lag = 0.251 ± 0.01 samples (given 0); a machine file has no lag: give --lag 0.25",
+        "lag = 0.251 ± 0.01 samples (given 0); the machine file has no lag: state it with the log",
         "L_s held at 0.02 H: no current along d",
     ]
     assert lines[4].startswith("This log cannot identify L_s: held at the given value")

@@ -36,8 +36,9 @@ if TYPE_CHECKING:
 #: Prior standard deviation of a free inductance, as a share: its value in the machine file must be
 #: right within a factor of about two.
 FREE_INDUCTANCE = 0.5
-#: Largest standard deviation of an identifiable lag [samples].
-LAG_UNSURE = 0.2
+#: Largest standard deviation of an identifiable lag [samples]: half of what is assumed of a stated
+#: lag.
+LAG_UNSURE = 0.125
 #: Name in `free` → name among the parameters of an estimate.
 LEARNT = {"R_s": "resistance", "psi_f": "magnet flux", "inverter": "inverter"}
 
@@ -276,7 +277,8 @@ def _learnt(
             told[name] = (result.statistics.mean("psi_f"), result.statistics.mean("psi_f_std"))
         elif name == "lag":
             lag = result.fractional_lag
-            if lag is not None and lag[1] <= LAG_UNSURE:
+            learnt_whole = result.lag is not None and result.lag.decided
+            if lag is not None and (learnt_whole or lag[1] <= LAG_UNSURE):
                 told[name] = lag
     return told
 
