@@ -119,7 +119,7 @@ def test_a_scenario_is_rerun(done, tmp_path):
         folder=tmp_path,
     )
     assert estimated.returncode == 0, estimated.stderr
-    assert "against the true angle" in estimated.stdout
+    assert "valid rows with a true value" in estimated.stdout
 
 
 @pytest.mark.parametrize(

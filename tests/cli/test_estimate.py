@@ -52,9 +52,9 @@ def test_estimate_writes_rows_summary_and_picture(folder):
     assert estimates["valid"][-1000:].all()
     assert estimates["theta_e_error"][-1000:].abs().max() < np.radians(2)
     assert "valid on 100.0%" in done.stdout
-    assert "acts from its row to the next (lag 0)" in done.stdout
-    assert "Standard deviation of the position: " in done.stdout
-    assert "Position error" in done.stdout
+    assert "a voltage acts from its row on" in done.stdout
+    assert "° rms on valid rows, mostly " in done.stdout
+    assert "valid rows with a true value" in done.stdout
     assert "Warning" not in done.stdout
     assert (folder / "report.png").read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in folder.iterdir() if "part" in path.name) == []
@@ -83,9 +83,9 @@ def test_record_file_and_override(folder):
         'lag = -1\nsample_time = 1e-4\n[truth]\ntheta_mech = "angle"\n[columns]\nt = "t"\n'
     )
     done = estimate(folder, "--record", "record.toml", lag=())
-    assert "1 sample late " in done.stdout
+    assert "1 sample later than its row" in done.stdout
     assert "theta_e_error" in pl.read_parquet(folder / "out.parquet").columns
-    assert "(lag 0)" in estimate(folder, "--record", "record.toml", "--lag", "0").stdout
+    assert "0, stated" in estimate(folder, "--record", "record.toml", "--lag", "0").stdout
 
 
 def test_batch_size_and_format_change_nothing(folder, monkeypatch):
@@ -171,7 +171,7 @@ def test_a_rounded_time_column_is_read_and_reported(folder):
     done = estimate(folder)
     assert done.returncode == 0, done.stderr
     assert "t is rounded to 0.001 s" in done.stdout
-    assert "0.4 s at 10000 Hz" in done.stdout
+    assert "400 ms at 10000 Hz" in done.stdout
 
 
 def test_a_short_log_is_reported(folder):

@@ -26,7 +26,7 @@ def test_estimate_writes_a_report(tmp_path):
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
     check_self_contained(text)
     assert re.search(
-        r"Position error against the true angle on 10000 valid rows: 0\.\d\d° rms", text
+        r"0\.\d\d° rms, \d\.\d\d° at most, mean -?\d\.\d\d°, on 10000 valid rows", text
     )
     again = fluxobs(*run, folder=tmp_path)
     assert again.returncode == 2

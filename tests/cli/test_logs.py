@@ -97,7 +97,7 @@ def test_the_first_command_needs_a_log_and_a_machine(folder):
     before = set(folder.iterdir())
     done = fluxobs("estimate", "log.csv", *MACHINE, folder=folder)
     assert done.returncode == 0
-    assert "The position is valid on 100.0% of the rows" in done.stdout
+    assert "valid on 100.0% of the rows" in done.stdout
     assert "The estimates are not saved; to save them, add --out FILE.parquet" in done.stdout
     assert set(folder.iterdir()) == before
 

@@ -1,5 +1,6 @@
 """Summary, warnings and choices of closed-form runs; limits are tested from both sides."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -27,7 +28,7 @@ from fluxobs.observers.for_log import guess_psi_f, plain_observer, usual_speed
 from fluxobs.page.columns import exact, flags, rounded
 from fluxobs.presentation import report, warnings
 from fluxobs.presentation.report import _channel_rows, _columns, _machine_in
-from fluxobs.presentation.summary import _parameters, _score, paragraph, si
+from fluxobs.presentation.summary import _parameters, _score, lag_effect, si, summary_rows
 from support.records import SERVO, log_columns, steady
 
 H, ROWS = 1e-4, 3000
@@ -75,7 +76,7 @@ def changed(run, counts=None, **statistics):
         for name in ("log", "machine", "observer", "scales", "unknowns", "memory", "priors")
     }
     fields |= {"learnt": None, "automatic": False, "causal": False, "counts": counts}
-    fields |= {"budget": run.budget, "lag": run.lag, "examined": None}
+    fields |= {"budget": run.budget, "lag": run.lag, "examined": None, "fractional_lag": None}
     return fluxobs.presentation.explanation.ExplainedRun(
         **fields, statistics=replace(run.statistics, **statistics)
     )
@@ -96,15 +97,33 @@ def test_numbers_of_a_summary(run):
         error_squared=1000 * np.radians(2.0) ** 2,
         error_max=np.radians(7.25),
     )
-    assert paragraph(result, None, None) == (
-        "3000 samples, 0.3 s at 10000 Hz; each logged voltage acts from its row to the next "
-        "(lag 0). The position is valid on 50.0% of the rows, for the first time 12.5 mV "
-        "after the start. Drift of the flux integral: (+0.03, -0.04) V in αβ, equivalent to a "
-        "voltage offset of 50 mV or a current offset of 139 mA through R_s. Magnet flux: 12.5 "
-        "mWb. Position error against the true angle on 1000 valid rows: 2.00° rms, 7.25° at "
-        "most, mean 0.50°."
-    ).replace("12.5 mV after", "12.5 ms after")
-    assert "never valid" in paragraph(changed(run, first_valid=None), None, None)
+    rows = dict(summary_rows(result, None, None))
+    assert rows["log"] == "arrays: 3000 rows, 300 ms at 10000 Hz"
+    assert rows["position"] == "valid on 50.0% of the rows, first after 12.5 ms"
+    assert rows["  error"] == (
+        "2.00° rms, 7.25° at most, mean 0.50°, on 1000 valid rows with a true value"
+    )
+    assert re.fullmatch(r"119\d to 12\d\d rpm \(49\d to 5\d\d.\d rad/s electrical\)", rows["speed"])
+    assert rows["lag"] == "0, assumed: a voltage acts from its row on"
+    assert rows["drift"] == (
+        "+0.03, -0.04 V in αβ: as from a voltage offset of 50 mV, or a current offset of 139 mA"
+    )
+    assert rows["magnet flux"] == "12.5 mWb"
+    never = dict(summary_rows(changed(run, first_valid=None), None, None))
+    assert never["position"] == "never valid"
+
+
+@pytest.mark.parametrize(
+    ("lag", "effect"),
+    [
+        (0.0, "a voltage acts from its row on"),
+        (1.0, "a voltage acts 1 sample earlier than its row"),
+        (-1.0, "a voltage acts 1 sample later than its row"),
+        (-2.5, "a voltage acts 2.5 samples later than its row"),
+    ],
+)
+def test_the_effect_of_a_lag(lag, effect):
+    assert lag_effect(lag) == effect
 
 
 def test_a_score_against_a_truth_with_wrong_turns_is_left_out(run):
@@ -295,10 +314,12 @@ def test_an_inductance_is_listed_if_it_was_learnt(std, listed):
     run = fluxobs.estimate(
         fluxobs.demo_log(), "servo-400w", unknowns="drift,resistance", causal=True
     )
-    learnt = replace(run.learnt, inductance_error=(0.05, 0.0), inductance_std=(std, std))
-    text, *_ = _parameters(replace(run, learnt=learnt))
-    assert ("L_s 630 µH ± " in text) == listed
-    assert ("600 µH given" in text) == listed
+    learnt = replace(run.learnt, inductance_error=(0.05, 0.0), inductance_std=(std, 0.0))
+    rows = dict(_parameters(replace(run, learnt=learnt)))  # 600 µH, 5 % more is learnt
+    assert ("L_s" in rows) == listed
+    if listed:
+        assert rows["L_s"].startswith(f"630.00 ± {600 * std:.2f}" if std < 0.01 else "630 ± 12")
+        assert rows["L_s"].endswith("µH (file 600 µH)")
 
 
 def test_only_unknown_parameters_are_listed():

@@ -128,7 +128,7 @@ def test_an_induction_machine_with_every_function(tmp_path):
     log, mechanical = cage_log(CONSTANT)
     result = fluxobs.estimate(log, "induction-2kw2")
     assert not result.warnings
-    assert "Rotor flux" in result.summary
+    assert "rotor flux" in result.summary
     valid = result["valid"]
     error = (result["speed_mech"] - mechanical[-len(valid) :])[valid]
     assert np.sqrt(np.mean(error**2)) < 0.5

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from fluxobs import Record, RecordError, SurfacePMSM
 from fluxobs.logs.formats import open_tables
 from fluxobs.logs.read import read_log
-from fluxobs.logs.record import interval_rows, lag_in_words
+from fluxobs.logs.record import interval_rows
 from fluxobs.machines.model.frames import wrap
 from fluxobs.machines.model.inverter import InverterError
 
@@ -272,12 +272,6 @@ def test_record_from_log_is_aligned(tmp_path):
     log = read_log(tmp_path / "log.npz", lag=-0.5)
     record, (rows,) = log.to_record(), list(log.aligned())
     np.testing.assert_array_equal(record.interval_voltage(), rows.voltage)
-
-
-def test_lag_in_words():
-    assert "acts from its row to the next" in lag_in_words(0)
-    assert "1 sample late" in lag_in_words(-1)
-    assert "0.5 samples early" in lag_in_words(0.5)
 
 
 # ---- scale, truth, selection -------------------------------------------------------------

@@ -1,14 +1,12 @@
 """Resampled signals at their limits, compared with closed forms and brute force."""
 
-import re
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from fluxobs import Record, RecordError
-from fluxobs.logs.record import check_lag, lag_in_words
+from fluxobs.logs.record import check_lag
 from fluxobs.logs.time.resample import course_of, resample
 
 RNG = np.random.default_rng(4)
@@ -142,19 +140,6 @@ def test_a_lag_that_leaves_no_voltage(lag):
 def test_a_lag_that_is_no_number(lag):
     with pytest.raises(RecordError, match="lag must be a number of samples"):
         check_lag(lag, 30)
-
-
-@pytest.mark.parametrize(
-    ("lag", "description"),
-    [
-        (1.0, r"1 sample early \(lag \+1\)"),
-        (-1.0, r"1 sample late \(lag -1\)"),
-        (-2.5, r"2.5 samples late \(lag -2.5\)"),
-        (0.25, r"0.25 samples early \(lag \+0.25\)"),
-    ],
-)
-def test_lags_in_words(lag, description):
-    assert re.search(description, lag_in_words(lag))
 
 
 def test_records_of_three_phases_and_complex_numbers():

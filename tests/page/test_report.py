@@ -22,7 +22,10 @@ def result():
 def test_it_recomputes_the_run(result, window, tmp_path):
     write_report(result, tmp_path / "r.html", command="fluxobs estimate log.csv")
     report = opened(window, tmp_path / "r.html")
-    assert result.summary in report.page.inner_text("main")
+    shown = report.page.inner_text("table.summary")
+    for label, value in result.summary_rows:
+        assert label.strip() in shown
+        assert value in shown
     assert "fluxobs estimate log.csv" in report.page.inner_text("#more")
     for name in result.estimates.columns:
         shown, expected = report.column(name).astype(float), result[name].astype(float)

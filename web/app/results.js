@@ -348,46 +348,63 @@ export class Results {
 
   explain({ summary, warnings = [], findings = [], check_notes: notes = [] }) {
     this.words.replaceChildren(
-      element("p", { className: "summary", textContent: summary }),
+      element(
+        "table",
+        { className: "summary" },
+        element(
+          "tbody",
+          {},
+          ...summary.map(([label, value]) =>
+            element(
+              "tr",
+              {},
+              element("th", { scope: "row", textContent: label }),
+              element("td", { textContent: value }),
+            ),
+          ),
+        ),
+      ),
       ...warnings.map((text) =>
         element("p", { className: "warning", role: "alert", textContent: text }),
       ),
-      findings.length
-        ? element(
-            "details",
-            { className: "verdicts", open: findings.some((one) => !one.as_given) },
-            element("summary", {
-              textContent: `Does the log agree with the machine file and the options? ${findings.every((one) => one.as_given) ? "Yes, as far as the log can show." : "Not in every respect."}`,
-            }),
+      ...(findings.length
+        ? [
             element(
-              "table",
-              {},
+              "details",
+              { className: "verdicts", open: findings.some((one) => !one.as_given) },
+              element("summary", {
+                textContent: `Does the log agree with the machine file and the options? ${findings.every((one) => one.as_given) ? "Yes, as far as the log can show." : "Not in every respect."}`,
+              }),
               element(
-                "tbody",
+                "table",
                 {},
-                ...findings.map((one) =>
-                  element(
-                    "tr",
-                    { className: one.as_given ? "good" : "bad" },
-                    element("th", { scope: "row", textContent: one.kind }),
-                    element("td", { textContent: one.as_given ? "as given" : "NOT as given" }),
-                    element("td", {
-                      textContent: [
-                        one.words,
-                        one.sure,
-                        one.others.length ? `Fits equally well: ${one.others.join("; ")}` : "",
-                      ]
-                        .filter(Boolean)
-                        .map((text) => text[0].toUpperCase() + text.slice(1))
-                        .join(". "),
-                    }),
+                element(
+                  "tbody",
+                  {},
+                  ...findings.map((one) =>
+                    element(
+                      "tr",
+                      { className: one.as_given ? "good" : "bad" },
+                      element("th", { scope: "row", textContent: one.kind }),
+                      element("td", { textContent: one.as_given ? "as given" : "NOT as given" }),
+                      element("td", {
+                        textContent: [
+                          one.words,
+                          one.sure,
+                          one.others.length ? `Fits equally well: ${one.others.join("; ")}` : "",
+                        ]
+                          .filter(Boolean)
+                          .map((text) => text[0].toUpperCase() + text.slice(1))
+                          .join(". "),
+                      }),
+                    ),
                   ),
                 ),
               ),
+              ...notes.map((text) => element("p", { textContent: text })),
             ),
-            ...notes.map((text) => element("p", { textContent: text })),
-          )
-        : null,
+          ]
+        : []),
     );
   }
 

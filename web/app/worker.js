@@ -167,7 +167,7 @@ const actions = {
     return {
       columns,
       notes: plain(log.notes),
-      summary: $py("presentation.summary").paragraph(opened.run, null, null),
+      summary: plain($py("presentation.summary").summary_rows(opened.run, null, null)),
       ...plain($py("presentation.plot_data").shown(opened.run)),
     };
   },
@@ -200,7 +200,7 @@ const actions = {
     const found = run.checked,
       fit = run.truth_fit;
     return {
-      summary: run.summary,
+      summary: plain(run.summary_rows),
       warnings: plain(run.warnings),
       facts: plain(run.facts),
       findings: found === null ? [] : found.findings.map((one) => plain(one.facts)),

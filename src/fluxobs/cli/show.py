@@ -6,7 +6,7 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Self
 
 import typer
@@ -34,9 +34,15 @@ def cell(text: str, style: str = "") -> Any:
     return Text(visible(text), style)
 
 
-def summary(paragraph: str, warnings: Iterable[str]) -> None:
-    """Print a paragraph, then its warnings."""
-    echo(paragraph)
+def summary(rows: Sequence[tuple[str, str]], warnings: Iterable[str]) -> None:
+    """Print rows of label and value, then warnings."""
+    width = max(len(label) for label, _ in rows)
+    columns = min(shutil.get_terminal_size().columns, 100)
+    for label, value in rows:
+        line = visible(f"{label.ljust(width)}  {value}")
+        if sys.stdout.isatty():
+            line = textwrap.fill(line, columns, subsequent_indent=" " * (width + 2))
+        typer.echo(line)
     for warning in warnings:
         echo(f"Warning: {warning}")
 

@@ -184,11 +184,9 @@ class Budget:
         for contribution in self.contributions:
             if contribution.remedy:
                 rest = np.sqrt(max(self.std**2 - contribution.std**2, 0.0))
-                name = _with_article(contribution.name)
                 return (
-                    f"To gain most, {contribution.remedy}: without the error of {name}, the "
-                    f"standard deviation of the position would be "
-                    f"{np.degrees(rest):.2g}° instead of {np.degrees(self.std):.2g}°."
+                    f"{contribution.remedy}: σ {np.degrees(rest):.2g}° instead of "
+                    f"{np.degrees(self.std):.2g}°"
                 )
         return ""
 

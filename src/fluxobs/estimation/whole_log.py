@@ -678,7 +678,7 @@ class WholeLog:
             resistance_std=statistics.mean("resistance_std")
             if valid
             else stds.get("resistance", 0.0),
-            inverter_voltage=loss,
+            inverter_voltage=max(loss, 0.0),
             inverter_std=loss_std,
             offset=offset,
             offset_std=offset_std,

@@ -49,15 +49,6 @@ def interval_rows(rows: Array, lag: float, first: int, last: int, start: int = 0
     return voltage
 
 
-def lag_in_words(lag: float) -> str:
-    """Describe a lag in a sentence."""
-    if lag == 0:
-        return "each logged voltage acts from its row to the next (lag 0)"
-    amount = f"{abs(lag):g} sample{'' if abs(lag) == 1 else 's'}"
-    when = "late" if lag < 0 else "early"
-    return f"each logged voltage acts {amount} {when} (lag {lag:+g})"
-
-
 @dataclass(frozen=True, eq=False)
 class Record:
     """Currents and voltages in αβ, sampled uniformly.

@@ -64,7 +64,7 @@ def _as_given(finding: Finding) -> Finding:
 def _agreed(finding: Finding, checked: Check, result: LogRun) -> Finding:
     if finding.as_given and not finding.others:
         return finding
-    if finding.kind == "lag" and (result.lag is None or result.lag.decided):
+    if finding.kind == "lag":  # if the log does not determine it, the summary says so
         lag = result.log.layout.lag
         return Finding("lag", f"{lag:+g}", True, (), "the whole log fits with it")
     if finding.kind == "scale" and not finding.as_given and not _values_agree(checked, result):

@@ -17,7 +17,7 @@ from ..machines import Machine, RotatingMachine
 from ..machines.file_text import with_found
 from .agreement import agreed
 from .result_data import facts
-from .summary import paragraph
+from .summary import Row, as_text, summary_rows
 from .warnings import warnings
 
 
@@ -26,9 +26,14 @@ class ExplainedRun(LogRun):
     """A run with its texts; it has the attributes of :class:`LogRun`."""
 
     @cached_property
+    def summary_rows(self) -> list[Row]:
+        """The results of the run as rows of label and value."""
+        return summary_rows(self, self.checked, self.truth_fit)
+
+    @property
     def summary(self) -> str:
-        """The results of the run in one paragraph."""
-        return paragraph(self, self.checked, self.truth_fit)
+        """The results of the run as a short table in text."""
+        return as_text(self.summary_rows)
 
     @cached_property
     def warnings(self) -> list[str]:

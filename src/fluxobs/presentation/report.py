@@ -72,7 +72,7 @@ def _texts(result: Result, command: str | None) -> dict[str, Any]:
     return {
         "log": result.log.path.name,
         "machine": machine_text(result.machine, [], {}),
-        "summary": result.summary,
+        "summary": [list(row) for row in result.summary_rows],
         "warnings": result.warnings,
         "notes": list(result.log.notes),
         "taken": _channel_rows(result.log),

@@ -198,11 +198,11 @@ class Result(ExplainedRun):
 
     def _repr_html_(self) -> str:
         """Return summary, warnings and picture as HTML, for a notebook."""
-        from ..core.html import bullets, paragraph, picture
+        from ..core.html import bullets, picture, table
 
         notes = [*(f"Warning: {text}" for text in self.warnings), *self.log.notes]
         shown = picture(self.plot(), self.summary)
-        return paragraph(self.summary) + bullets(notes) + shown
+        return table(("", ""), self.summary_rows) + bullets(notes) + shown
 
     def __repr__(self) -> str:
         return (

@@ -63,7 +63,7 @@ def test_demo_command_writes_both_files(tmp_path):
         "estimates.parquet",
         "report.png",
     ]
-    assert "Identified from the whole log: magnet flux" in done.stdout
+    assert "mWb (file 12.5 mWb)" in done.stdout
     assert "Warning" not in done.stdout
 
 

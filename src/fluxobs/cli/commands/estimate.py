@@ -221,7 +221,7 @@ def show_result(result: Result, machine: str, written: Sequence[Path]) -> None:
     """Print the summary, the files written, and the command that exports the same observer."""
     for note in result.log.notes:
         show.echo(f"Note: {note}.")
-    show.summary(result.summary, result.warnings)
+    show.summary(result.summary_rows, result.warnings)
     for path in written:
         show.say(f"Written: {path}")
     if result.path is None:

@@ -537,7 +537,9 @@ def _note_columns(fields: Mapping[str, Any], columns: Columns, result: Guess) ->
             continue
         unit = result.fields.get("unit", {}).get(channel)
         guessed = unit is not None and channel not in fields.get("unit", {})
-        plain = plain and name == channel and not guessed
+        if name == channel and not guessed:
+            continue
+        plain = False
         shown = guessed and units.plain(str(unit)) not in units.plain(name)
         assignments.append(f"{channel} = {name}" + (f" [{unit}]" if shown else ""))
     truth = result.fields.get("truth", {})
