@@ -63,7 +63,7 @@ def summary_rows(result: LogRun, checked: Check | None, truth: TruthFit | None) 
 def as_text(rows: list[Row]) -> str:
     """Return rows as lines with aligned values."""
     width = max(len(label) for label, _ in rows)
-    return "\n".join(f"{label.ljust(width)}  {value}" for label, value in rows)
+    return "\n".join(f"{label}{' ' * (width - len(label))}  {value}" for label, value in rows)
 
 
 def _log(result: LogRun) -> Row:
