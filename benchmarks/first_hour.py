@@ -78,13 +78,13 @@ class Log:
 
 def written(drive: Drive, folder: Path, number: int, lag: int, encoder: bool) -> Log:
     """Write the log of a drive."""
-    voltage = moved(drive.voltage, lag)
+    voltage, missing = moved(drive.voltage, lag), np.isnan(drive.current)
     columns = {
         "Time [s]": drive.sample_time * np.arange(len(voltage)),
         "u_alpha": voltage.real,
         "u_beta": voltage.imag,
         "i_alpha": drive.current.real,
-        "i_beta": drive.current.imag,
+        "i_beta": np.where(missing, np.nan, drive.current.imag),
     }
     if encoder:
         resolution = 2 * np.pi / 4096

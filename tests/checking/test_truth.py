@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fluxobs.checking.findings import UNSEEN, Check, Finding
+from fluxobs.checking.findings import Check, Finding
 from fluxobs.checking.segments import Segments
 from fluxobs.checking.truth import check_truth
 from fluxobs.machines import example
@@ -179,14 +179,6 @@ def test_the_residual_as_text(given, best, tail):
 @pytest.mark.parametrize(("given", "best"), [(None, None), (np.inf, np.inf), (None, 0.1)])
 def test_no_residual_no_text(given, best):
     assert replace(GIVEN, residual_given=given, residual=best).lines() == ["lag: 0"]
-
-
-def test_what_cannot_be_identified_as_text():
-    assert GIVEN.untold == ""
-    other = Finding("lag", "0", True, ("-1", "1"))
-    assert "ambiguous: -1, 1 would fit equally well" in replace(GIVEN, findings=(other,)).untold
-    assert "direction of rotation" in replace(GIVEN, notes=(UNSEEN,)).untold
-    assert replace(GIVEN, findings=(replace(other, kind="phases"),)).untold == ""
 
 
 def test_a_finding_as_text_and_facts():

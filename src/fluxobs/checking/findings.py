@@ -94,20 +94,6 @@ class Check:
         return all(finding.as_given for finding in self.findings)
 
     @property
-    def untold(self) -> str:
-        """Sentences on what this log cannot identify; empty if the log identifies everything."""
-        sentences = [
-            f"The lag is ambiguous: {', '.join(finding.others)} would fit equally well."
-            for finding in self.findings
-            if finding.kind == "lag" and finding.others
-        ]
-        if UNSEEN in self.notes:
-            sentences.append(
-                "Without a true angle, the direction of rotation and n_p cannot be identified."
-            )
-        return " ".join(sentences)
-
-    @property
     def mistakes(self) -> tuple[Finding, ...]:
         """The findings that contradict the log or machine as given."""
         return tuple(finding for finding in self.findings if not finding.as_given)

@@ -68,7 +68,7 @@ from .hypotheses import (
     weights_of,
     with_inductance,
 )
-from .lag import UNUSUAL_COST, UNUSUAL_LAGS, LagDecision
+from .lag import UNDECIDED, UNUSUAL_COST, UNUSUAL_LAGS, LagDecision
 from .statistics import THIN_ROWS, Statistics
 
 #: Rows of a window of a long log, and rows that it shares with each neighbour: at 20 kHz, 6.6 s
@@ -268,9 +268,20 @@ class WholeLog:
         if self.model is None:
             return
         try:
-            self.checked = check_log(self.run.log, self.machine, scales=self.run.scales)
+            log = self.run.log
+            decided = self.weights[self.best.shift] > 1 - UNDECIDED
+            if decided and self._fits(self.best, self.model):
+                log = log.lagged(self.best.shift)
+            self.checked = check_log(log, self.machine, scales=self.run.scales)
         except FluxobsError:  # too many gaps
             self.checked = None
+
+    def _fits(self, hypothesis: Hypothesis, model: SmoothingModel) -> bool:
+        """Whether the log fits with a hypothesis: else what was learnt means nothing."""
+        course = hypothesis.course
+        if not len(course.times) or not course.misfit < SUSPICIOUS_MISFIT:
+            return False
+        return not contradiction(model, course.at(float(np.mean(course.times)), model))
 
     def rows(self) -> Iterator[EstimateRows]:
         """Yield the estimates of all rows in order, a window at a time."""
@@ -407,14 +418,15 @@ class WholeLog:
         hypotheses: list[Hypothesis],
     ) -> list[SmoothedRecord]:
         """Smooth and learn with each hypothesis."""
-        return [
-            self._learn(
+
+        def learn(hypothesis: Hypothesis) -> SmoothedRecord:
+            return self._learn(
                 with_inductance(model, hypothesis.inductance),
                 later(rows, hypothesis.shift),
                 anchors,
             )
-            for hypothesis in hypotheses
-        ]
+
+        return list(in_parallel(learn, iter(hypotheses)))
 
     def _add_costs(
         self, hypotheses: list[Hypothesis], records: list[SmoothedRecord], rows: Anchored

@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from ..estimation.learning import parameters
-from ..logs.log import Log
-from ..machines import RotatingMachine
 from ..machines.heat import COLD, COPPER
 from ..observers.adaptive import Learnt
-from ..observers.unknowns import ALL
-from ..presentation import Result, estimate
+from ..presentation import Result
 from ..presentation.agreement import explains
 from ..presentation.summary import mean_of
 from .item import Item, flag_if, judge
 
-#: Highest normal winding temperature [°C].
-WARM = 130.0
+#: Highest normal winding temperature, and largest standard deviation with which it says anything
+#: [°C].
+WARM, WARM_STD = 130.0, 20.0
 #: Largest normal deviation of the magnet flux from the machine file (temperature, production).
 MAGNET = 0.08
 #: Largest normal inverter voltage, as a share of the log's voltage.
@@ -29,11 +27,6 @@ GAIN = 0.01
 DRIFT = 0.02
 #: Largest normal eccentricity of an encoder and scatter of Hall edges [rad].
 ECCENTRIC, HALL = np.radians(0.5), np.radians(5.0)
-
-
-def run_adaptive(log: Log, machine: RotatingMachine) -> Result:
-    """Run the adaptive observer over a log, with all unknowns."""
-    return estimate(log, machine, unknowns=ALL)
 
 
 def learnt_items(result: Result, cold_resistance: float | None) -> list[Item]:
@@ -96,6 +89,8 @@ def _resistance_items(value: float, std: float, result: Result, cold: float | No
         if temperature > COLD - 3 * temperature_std - 20
         else "look at it"
     )
+    if verdict == "fine" and temperature_std > WARM_STD:
+        verdict = "cannot be told"
     if verdict == "look at it" and temperature <= COLD:
         words += "; implausibly cold: R_s in the machine file is too large"
     items.append(Item("winding temperature", verdict, words, temperature, temperature_std, "°C"))

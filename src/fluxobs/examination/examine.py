@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +17,10 @@ from ..logs.for_machine import open_for
 from ..logs.log import Log
 from ..logs.read import Source
 from ..machines import MachineSource, RotatingMachine, as_machine, rotating
-from .drive import lag_item, learnt_items, run_adaptive, truth_items
+from ..observers.unknowns import ALL
+from ..presentation import Result, estimate
+from ..presentation.agreement import agreed
+from .drive import lag_item, learnt_items, truth_items
 from .item import Item
 from .rest import rest_items
 from .signals import (
@@ -44,15 +48,18 @@ class Examination(Check):
     machine : RotatingMachine
     cold_resistance : float, optional
         Phase resistance at 20 °C [Ω].
+    run : Result, optional
+        Estimate of the log, of at most ROWS rows; None if it is not possible.
     """
 
     log: Log | None = None
     machine: RotatingMachine | None = None
     cold_resistance: float | None = None
+    run: Result | None = None
 
     @cached_property
     def items(self) -> tuple[Item, ...]:
-        """Items of the examination with value, standard deviation and verdict; takes seconds."""
+        """Items of the examination with value, standard deviation and verdict."""
         assert self.log is not None
         assert self.machine is not None
         log = replace(self.log, last=min(self.log.last, self.log.first + ROWS))
@@ -63,10 +70,10 @@ class Examination(Check):
             words = "the log is not read correctly; correct the findings above first"
             items.append(Item("parameters of the drive", "cannot be told", words))
             return (*check_sampling(log, 0.0), *items)
-        try:
-            result = run_adaptive(log, self.machine)
-        except FluxobsError as error:
-            items.append(Item("parameters of the drive", "cannot be told", str(error)))
+        result = self.run
+        if result is None:
+            words = "no estimate of this log is possible"
+            items.append(Item("parameters of the drive", "cannot be told", words))
             return (*check_sampling(log, 0.0), *items)
         series = result.statistics.thin.columns()
         valid = series["valid"] > 0
@@ -156,7 +163,7 @@ def check(
     cold_resistance : float, optional
         Phase resistance at 20 °C [Ω], for the winding temperature. Default: R_s of the machine.
     progress : callable, optional
-        Called with the number of finished fits and the number of fits that are planned so far.
+        Called with the number of finished rows, or fits, and of those that are planned so far.
     layout : optional
         As for :func:`fluxobs.read_log`.
 
@@ -167,8 +174,21 @@ def check(
     """
     rotating_machine = rotating(as_machine(machine), "the check of a log")
     opened_log = open_for(log, rotating_machine, **layout)
-    result = check_log(opened_log, rotating_machine, progress)
+    part = replace(opened_log, last=min(opened_log.last, opened_log.first + ROWS))
+    run = None
+    with suppress(FluxobsError):  # nothing turns, or the log is too short
+        run = estimate(part, rotating_machine, unknowns=ALL, keep=False, progress=progress)
+    if run is not None and run.examined is not None and len(part) == len(opened_log):
+        result = run.examined
+    else:
+        result = check_log(opened_log, rotating_machine, progress)
+    if run is not None:
+        result = agreed(result, run)
     attributes = {field.name: getattr(result, field.name) for field in fields(result)}
     return Examination(
-        **attributes, log=opened_log, machine=rotating_machine, cold_resistance=cold_resistance
+        **attributes,
+        log=opened_log,
+        machine=rotating_machine,
+        cold_resistance=cold_resistance,
+        run=run,
     )

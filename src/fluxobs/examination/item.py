@@ -63,12 +63,12 @@ def judge(value: float, std: float, limit: float, expected: float = 0.0) -> Verd
     """Return whether a value lies within `limit` of the expected value.
 
     "look at it" means that the deviation exceeds the limit by more than two standard deviations,
-    "cannot be told" that the standard deviation is too large to decide.
+    "cannot be told" that it may exceed the limit, or that the standard deviation is too large.
     """
     deviation = abs(value - expected)
     if deviation - 2 * std > limit:
         return "look at it"
-    return "fine" if 2 * std <= limit or deviation + 2 * std <= limit else "cannot be told"
+    return "fine" if deviation <= limit and 2 * std <= limit else "cannot be told"
 
 
 def flag_if(bad: bool) -> Verdict:

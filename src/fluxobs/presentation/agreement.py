@@ -16,6 +16,8 @@ from ..checking.findings import Check, Finding
 from ..checking.mistakes import RIGHT
 from ..core.arrays import Array
 from ..estimation.course import CONVERGED_MISFIT
+from ..estimation.lag import UNDECIDED
+from ..estimation.learning import parameters
 from ..estimation.run import LogRun
 
 #: Kinds of findings that exchange, turn or reverse vectors.
@@ -62,14 +64,39 @@ def _as_given(finding: Finding) -> Finding:
 
 
 def _agreed(finding: Finding, checked: Check, result: LogRun) -> Finding:
+    if finding.kind == "scale" and finding.as_given and _all_told(result):
+        return Finding("scale", RIGHT["scale"], True)
     if finding.as_given and not finding.others:
         return finding
-    if finding.kind == "lag":  # if the log does not determine it, the summary says so
-        lag = result.log.layout.lag
-        return Finding("lag", f"{lag:+g}", True, (), "the whole log fits with it")
+    if finding.kind == "lag":
+        return _agreed_lag(finding, result)
     if finding.kind == "scale" and not finding.as_given and not _values_agree(checked, result):
         return Finding("scale", RIGHT["scale"], True, (), "the whole log fits with the given ones")
     return finding
+
+
+def _agreed_lag(finding: Finding, result: LogRun) -> Finding:
+    lag, decision = result.log.layout.lag, result.lag
+    others: tuple[str, ...] = ()
+    if decision is None:
+        if finding.as_given:
+            return finding
+    elif finding.as_given or float(finding.words) in decision.weights:
+        others = tuple(
+            f"{other:+g}"
+            for other, weight in decision.weights.items()
+            if other != lag and weight > UNDECIDED
+        )
+    else:
+        return finding  # the estimate did not try this lag
+    return Finding("lag", f"{lag:+g}", True, others, "the whole log fits with it")
+
+
+def _all_told(result: LogRun) -> bool:
+    """Whether the log identifies every parameter that the observer learns."""
+    if result.adaptive is None or result.learnt is None:
+        return False
+    return all(parameter.told for parameter in parameters(result.adaptive, result.learnt))
 
 
 def _values_agree(checked: Check, result: LogRun) -> bool:

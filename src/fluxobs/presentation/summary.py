@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..checking.findings import UNSEEN as UNSEEN_TURN
 from ..checking.findings import Check
 from ..estimation.columns import is_position
 from ..estimation.learning import UNSEEN, learning_segments, parameters
@@ -354,5 +355,6 @@ def _next(result: LogRun, checked: Check | None) -> list[Row]:
     """Say what to do next."""
     budget = result.budget
     advice = "" if budget is None or not budget.rows else budget.advice
-    untold = "" if checked is None else checked.untold
-    return [("next", text) for text in (advice, untold) if text]
+    unseen = checked is not None and UNSEEN_TURN in checked.notes
+    text = "without a true angle, the direction of rotation and n_p cannot be told"
+    return [("next", row) for row in (advice, text if unseen else "") if row]
