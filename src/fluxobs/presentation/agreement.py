@@ -29,6 +29,9 @@ AGREEMENT, CHECK_STD = 3.0, 0.1
 TOLD = (0.25, np.inf, 0.12)
 #: Least step of an inductance that its prior may have held back, as a share.
 HELD_BACK = 0.05
+#: A check's finding of another lag than stated stands if the whole log leans the same way, by this
+#: many standard deviations.
+LEANS = 0.9
 #: A check changes a value if its logarithm is larger than this.
 CHANGED = 0.15
 
@@ -79,7 +82,9 @@ def _agreed_lag(finding: Finding, result: LogRun) -> Finding:
     lag, decision = result.log.layout.lag, result.lag
     others: tuple[str, ...] = ()
     if decision is None:
-        if finding.as_given:
+        best, std = result.fractional_lag or (lag, 0.0)
+        leans = (best - lag) * np.sign(float(finding.words) - lag) if finding.words else 0.0
+        if finding.as_given or leans > LEANS * std:
             return finding
     elif finding.as_given or float(finding.words) in decision.weights:
         others = tuple(
