@@ -361,7 +361,7 @@ MISTAKES = {
         ),
         ["log.csv", "--machine", "m.toml", "--truth", "none"],
         0,
-        "the direction of rotation and n_p cannot be identified",
+        "the direction of rotation and n_p cannot be told",
     ),
 }
 

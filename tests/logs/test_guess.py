@@ -257,6 +257,11 @@ def test_the_quantities_of_a_unit():
     ("column", "channel", "unit"),
     [
         ("Ia [mA]", "i_a", "mA"),
+        ("U [V]", "u_a", "V"),
+        ("W [V]", "u_c", "V"),
+        ("A [A]", "i_a", "A"),
+        ("Encoder elec [deg]", "theta_e", "deg"),
+        ("Encoder mech [deg]", "theta_mech", "deg"),
         ("Ia (mA) filt", "i_a", "mA"),
         ("Phase current / A", None, "A"),
         ("I_b, A", "i_b", "A"),

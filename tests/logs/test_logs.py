@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from fluxobs import Record, RecordError, SurfacePMSM
 from fluxobs.logs.formats import open_tables
+from fluxobs.logs.meaning.layout import Layout
+from fluxobs.logs.meaning.options import LayoutOptions, ReadOptions
 from fluxobs.logs.read import read_log
 from fluxobs.logs.record import interval_rows
 from fluxobs.machines.model.frames import wrap
@@ -552,3 +554,11 @@ def test_inverter_losses_in_any_batches(size):
 def test_records_without_numbers(wrong):
     with pytest.raises(RecordError, match="voltage must hold numbers"):
         Record(H, wrong, np.zeros(30, complex))
+
+
+def test_the_types_of_the_options_name_every_field_of_a_layout():
+    """`priors` is an argument of `estimate`; a note is only in a record file."""
+    assert set(LayoutOptions.__annotations__) | {"frame", "priors", "note"} == set(
+        Layout.model_fields
+    )
+    assert {"record", "preset", "frame"} <= set(ReadOptions.__annotations__)

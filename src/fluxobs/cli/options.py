@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import FluxobsError, RecordError
+from ..errors import FluxobsError, RecordError, UsageError
 
 Pairs = list[str] | None
 
@@ -26,10 +26,20 @@ def _lag(text: str) -> float | str:
         raise typer.BadParameter(f"{text!r} is neither a number of samples nor auto") from None
 
 
+def _no_machine() -> Path:
+    raise UsageError(
+        "give --machine: a machine file, or a name that `fluxobs machines` lists. `fluxobs machine "
+        "new --out motor.toml` writes a machine file from the values of a data sheet"
+    )
+
+
 MachineOption = Annotated[
     Path,
     typer.Option(
-        help="Machine file (TOML: kind, R_s, … in SI units), or a name from `fluxobs machines`."
+        default_factory=_no_machine,
+        show_default=False,
+        help="Required. Machine file (TOML: kind, R_s, … in SI units; `fluxobs machine new` writes "
+        "one from a data sheet), or a name from `fluxobs machines`.",
     ),
 ]
 LogArgument = Annotated[
@@ -123,8 +133,8 @@ LAYOUT: dict[str, Any] = {
             metavar="SAMPLES|auto",
             help="Samples by which a row's voltage acts early. 0: the voltage acts from its row to "
             "the next row; -1: one sample later (the usual computation delay); +1: one sample "
-            "earlier. Fractions are allowed. auto (default): `estimate` learns whether it is 0 or "
-            "-1; other commands assume 0.",
+            "earlier. Fractions are allowed. auto (default): `estimate`, `identify` and `check` "
+            "learn it from the log; other commands assume 0.",
         ),
     ],
     "held": Annotated[

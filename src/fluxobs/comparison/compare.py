@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -30,6 +30,11 @@ from .cages import entries_for
 from .catalogue import Entry, Gains, Setting
 from .scenarios import SCENARIOS, Scenario, believed_machine, run_scenario
 from .scoring import Score, Truth, score, scored_error, true_speed
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from ..logs.meaning.options import ReadOptions
 
 #: Number of gain sets that each observer runs at once; equal for comparable run times.
 LANES = 24
@@ -232,7 +237,7 @@ def compare(
     seed: int = 0,
     settle: float = 0.2,
     progress: Callable[[str], Any] = lambda name: None,
-    **layout: Any,
+    **layout: Unpack[ReadOptions],
 ) -> Comparison:
     """Run all observers of the catalogue on a log or a scenario, and score them.
 

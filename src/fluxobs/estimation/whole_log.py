@@ -23,7 +23,7 @@ from ..observers import AdaptiveObserver, LeastSquaresObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import LEAST_NOISE, Prepared, prepare
 from ..observers.outputs import outputs
-from ..smoothing.assumptions import Calibration, stated_items
+from ..smoothing.assumptions import Calibration, stated_items, with_scale
 from ..smoothing.estimate import VALID_STD, SmoothedEstimate, smoothed_estimate
 from ..smoothing.record import (
     QUANTITIES,
@@ -681,15 +681,21 @@ class WholeLog:
         offset, offset_std = pair("offset_alpha", "offset_beta")
         asymmetry, asymmetry_std = pair("voltage_gain_re", "voltage_gain_im")
         (L_d, L_d_std), (L_q, L_q_std) = (self._inductance_error(model, axis) for axis in "dq")
-        psi_f, resistance = model.numbers["psi"], model.numbers["resistance"]
+        psi_f = model.numbers["psi"] + deviations["psi_f"]
+        resistance = model.numbers["resistance"] + deviations["resistance"]
+        psi_std, resistance_std = (
+            float(with_scale(stds.get(name, 0.0), value, scale, model.stds[name]))
+            for name, value, scale in (
+                ("psi_f", psi_f, self.calibration.voltage),
+                ("resistance", resistance, self.calibration.ratio),
+            )
+        )
         magnets = self.machine.magnets
         return Learnt(
             psi_f=statistics.mean("psi_f") if valid and magnets else psi_f,
-            psi_f_std=statistics.mean("psi_f_std") if valid and magnets else stds.get("psi_f", 0.0),
+            psi_f_std=statistics.mean("psi_f_std") if valid and magnets else psi_std,
             resistance=statistics.mean("resistance") if valid else resistance,
-            resistance_std=statistics.mean("resistance_std")
-            if valid
-            else stds.get("resistance", 0.0),
+            resistance_std=statistics.mean("resistance_std") if valid else resistance_std,
             inverter_voltage=max(loss, 0.0),
             inverter_std=loss_std,
             offset=offset,

@@ -33,7 +33,11 @@ from .signals import (
 )
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
     from matplotlib.figure import Figure
+
+    from ..logs.meaning.options import ReadOptions
 
 
 @dataclass(frozen=True)
@@ -143,7 +147,7 @@ def check(
     *,
     cold_resistance: float | None = None,
     progress: Callable[[int, int], Any] | None = None,
-    **layout: Any,
+    **layout: Unpack[ReadOptions],
 ) -> Examination:
     """Test segments of a log for the usual mistakes.
 

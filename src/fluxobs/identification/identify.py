@@ -21,7 +21,7 @@ from ..logs.read import Source
 from ..machines import MachineSource, RotatingMachine, SynchronousMachine, as_machine, rotating
 from ..machines.file_text import with_found
 from ..presentation import Result, estimate
-from ..presentation.agreement import explains
+from ..presentation.agreement import explains, fits
 from ..presentation.warnings import misfit_warnings
 from .fit_result import FittedParameters
 from .report import figure, html_of, lines, write
@@ -30,7 +30,11 @@ from .segment_fit import MAP, ROTOR, ConstantFlux, SegmentFit, fit_segments
 from .values import ADVICE, UNITS, Parameter, common_mean, given_value
 
 if TYPE_CHECKING:
+    from typing import Unpack
+
     from matplotlib.figure import Figure
+
+    from ..logs.meaning.options import ReadOptions
 
 
 #: Prior standard deviation of a free inductance, as a share: its value in the machine file must be
@@ -123,7 +127,7 @@ def identify(
     free: str | Sequence[str] | None = None,
     priors: Mapping[str, float] | None = None,
     progress: Callable[[int, int], Any] | None = None,
-    **layout: Any,
+    **layout: Unpack[ReadOptions],
 ) -> Identification:
     """Identify the machine's parameters and the inverter's error from a whole log.
 
@@ -247,7 +251,7 @@ def _estimated(
     axes = ("L_d",) if len(names) == 1 else ("L_d", "L_q")
     wide = {axis: FREE_INDUCTANCE for axis, name in zip(axes, names, strict=True) if name in free}
     result = estimate(log, machine, keep=False, priors=wide | dict(priors or {}), progress=progress)
-    if explains(result):
+    if fits(result):
         return result
     why = [*misfit_warnings(result), *result.warnings, "the position is never known"][0]
     raise FluxobsError(f"{log.path}: no parameter can be identified: {why}")
@@ -273,7 +277,7 @@ def _learnt(
             )
             if 0 < std <= UNSEEN * FREE_INDUCTANCE:
                 told[name] = (machine.L_dq[axis] * ratio, machine.L_dq[axis] * std)
-        elif name == "psi_R":
+        elif name == "psi_R" and result.statistics.valid:
             told[name] = (result.statistics.mean("psi_f"), result.statistics.mean("psi_f_std"))
         elif name == "lag":
             lag = result.fractional_lag

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,11 @@ from ..logs.read import Source
 from ..machines import Machine, MachineSource, as_machine, rotating
 from ..machines.heat import COPPER, NEODYMIUM
 from .identify import Identification, combine, identify, read_free
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from ..logs.meaning.options import ReadOptions
 
 #: A log disagrees if a parameter differs from that of the other logs by this many standard
 #: deviations and by this share: smaller differences do not matter in practice.
@@ -157,7 +162,7 @@ def identify_many(
     workers: int | None = None,
     scheduler: str = LOCAL,
     progress: Callable[[int, int], Any] = lambda done, total: None,
-    **layout: Any,
+    **layout: Unpack[ReadOptions],
 ) -> Pooled:
     """Identify one machine from many logs, and find the logs that disagree.
 

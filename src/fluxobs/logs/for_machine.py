@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import RecordError
 from ..machines import Machine, RotatingMachine
@@ -12,11 +12,16 @@ from .log import Log
 from .meaning.guess import ROTATING
 from .read import read_log
 
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from .meaning.options import ReadOptions
+
 #: Truth channels of a rotor that are not its angle.
 INDIRECT = ("speed_mech", "speed_e", "hall")
 
 
-def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
+def open_for(source: Any, machine: Machine, **layout: Unpack[ReadOptions]) -> Log:
     """Open a log for a machine; by default, use the machine's frame and a suitable truth channel.
 
     Parameters
@@ -29,8 +34,9 @@ def open_for(source: Any, machine: Machine, **layout: Any) -> Log:
     RecordError
         The frame or the truth channel does not fit the kind of machine.
     """
-    if layout.get("frame") is not None:  # checked before the columns are searched
-        _check_frame(layout["frame"], machine)
+    frame = layout.get("frame")
+    if frame is not None:  # checked before the columns are searched
+        _check_frame(frame, machine)
     frames: tuple[Frame, ...] = ROTATING if machine.frame == "alphabeta" else (machine.frame,)
     log = read_log(source, frames=frames, **layout)
     _check_frame(log.frame, machine)

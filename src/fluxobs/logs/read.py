@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,11 @@ from .meaning.guess import ROTATING
 from .meaning.layout import CONVERTING, Layout, read_fields
 from .meaning.presets import preset_fields
 from .record import Record, alphabeta_rows
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from .meaning.options import LayoutOptions
 
 #: Source of :func:`read_log`: a file; a log or a record; a mapping of channels (or columns) to
 #: arrays, such as a data frame; or a pair (voltage, current) of arrays.
@@ -37,7 +42,7 @@ def read_log(
     preset: str | None = None,
     frame: Frame | None = None,
     frames: Sequence[Frame] = ROTATING,
-    **layout: Any,
+    **layout: Unpack[LayoutOptions],
 ) -> Log:
     """Open a log. At this point, only the head and the times of the log are read.
 
@@ -82,7 +87,7 @@ def read_log(
     >>> len(log), log.sample_time
     (100, 0.0001)
     """
-    given = {name: value for name, value in layout.items() if value is not None}
+    given: dict[str, Any] = {n: value for n, value in layout.items() if value is not None}
     if isinstance(source, Log):
         if given or record is not None or frame is not None or preset is not None:
             raise UsageError(

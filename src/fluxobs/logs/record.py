@@ -62,7 +62,7 @@ class Record:
         phases, or (rows,) for complex α + j β. Stored as (rows, 2) in αβ, amplitude-invariant.
     lag : float, optional
         Interval over which a row's voltage acts, in samples; see :func:`interval_rows`. Without it,
-        :func:`fluxobs.estimate` learns whether it is 0 or -1; everything else uses 0.
+        :func:`fluxobs.estimate` learns it, from -2 to +1; everything else uses 0.
     theta_e : (rows,) array_like, optional
         True electrical angle [rad], to score estimates.
 

@@ -36,16 +36,20 @@ LEANS = 0.9
 CHANGED = 0.15
 
 
-def explains(result: LogRun) -> bool:
-    """Whether the estimate explains the log."""
+def fits(result: LogRun) -> bool:
+    """Whether the log fits the machine; the position need not be valid."""
     budget = result.budget
     return (
         budget is not None
         and not budget.contradiction
         and not (result.examined is not None and result.examined.rearranged)
         and budget.misfit < CONVERGED_MISFIT
-        and result.statistics.valid > 0
     )
+
+
+def explains(result: LogRun) -> bool:
+    """Whether the estimate explains the log, with valid positions."""
+    return fits(result) and result.statistics.valid > 0
 
 
 def agreed(checked: Check, result: LogRun) -> Check:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
@@ -18,6 +18,11 @@ from ..machines import MachineSource
 from ..machines.files import as_machine
 from ..observers.unknowns import read_unknowns
 from .result import Result
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from ..logs.meaning.options import ReadOptions
 
 
 def estimate(
@@ -32,7 +37,7 @@ def estimate(
     memory: float | None = None,
     priors: Mapping[str, float] | None = None,
     progress: Callable[[int, int], Any] | None = None,
-    **layout: Any,
+    **layout: Unpack[ReadOptions],
 ) -> Result:
     """Estimate flux, position, speed and drift of a recorded log, with standard deviations.
 

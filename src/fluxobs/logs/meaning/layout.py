@@ -58,8 +58,7 @@ class Layout(BaseModel):
     lag : float or "auto"
         Interval over which a row's voltage acts, in samples. With 0, it acts from its row to the
         next; with -1, one sample later; with +1, one sample earlier. Fractions are allowed.
-        "auto" (default): an estimate of every row learns whether it is 0 or -1; everything else
-        uses 0.
+        "auto" (default): an estimate of every row learns it, from -2 to +1; everything else uses 0.
     held : bool, optional
         Whether each voltage is constant over its sample, like the mean voltage of an inverter.
         Default: yes if this matters for the machine (R h/L above 0.15) and the lag is a whole

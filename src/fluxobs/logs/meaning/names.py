@@ -35,6 +35,7 @@ _ANGLE = "(?:theta|angle|phi|rho|pos|position|ang|angmes|winkel)"
 _SPEED = "(?:speed|omega|w|velocity|vel|velmes|spd)"
 _MECHANICAL = "(?:m|mec|mech|mechanical|r|rotor|shaft|enc|encoder|motor|meas|mes|measured|mot)"
 _ELECTRICAL = "(?:e|el|ele|elec|electric|electrical)"
+_SENSOR = "(?:enc|encoder|resolver)"
 #: Words after a name that do not change its channel.
 _SUFFIX = (
     "(?:meas|measured|mes|m|fb|fbk|feedback|act|actual|filt|filtered|ref|cmd|command|set|setpoint"
@@ -83,11 +84,12 @@ def _patterns() -> dict[str, re.Pattern[str]]:
     )
     patterns["theta_e"] = (
         f"(?:{_ANGLE}{_ELECTRICAL}|{_ELECTRICAL}{_ANGLE}|{_ELECTRICAL}(?:rotor)?{_ANGLE}"
-        f"|{_ELECTRICAL}phase|{_ANGLE}{_ELECTRICAL}rad)"
+        f"|{_ELECTRICAL}phase|{_ANGLE}{_ELECTRICAL}rad|{_SENSOR}(?:{_ANGLE})?{_ELECTRICAL}"
+        f"|{_ELECTRICAL}{_SENSOR})"
     )
     patterns["theta_mech"] = (
         f"(?:{_ANGLE}{_MECHANICAL}|{_MECHANICAL}{_ANGLE}|encoder|enc|encoderangle|{_ANGLE}estimate"
-        f"|encoderposition|shaftangle|angmes)"
+        f"|encoderposition|shaftangle|angmes|{_SENSOR}(?:mech|mechanical))"
     )
     patterns["theta"] = f"(?:{_ANGLE}|rotor{_ANGLE}|theta0)"
     patterns["speed_e"] = f"(?:{_SPEED}{_ELECTRICAL}|{_ELECTRICAL}{_SPEED}|erpm|felec|fe)"
@@ -141,6 +143,16 @@ def _match(name: str) -> str | None:
     )
 
 
+def _phase(name: str, unit: str) -> str | None:
+    """Return the channel of a phase that is named by its letter alone: "U [V]", "A [A]"."""
+    reduced = key(name)
+    letters = (n for n, names in _PHASES.items() if re.compile(f"^{names}$").match(reduced))
+    letter = next(letters, None)
+    if letter is None or reduced in "123":
+        return None
+    return next((f"{q}_{letter}" for q in ("u", "i") if _fits(f"{q}_{letter}", unit)), None)
+
+
 def _fits(channel: str | None, unit: str) -> bool:
     """Return whether a channel may have the unit."""
     if channel is None:
@@ -167,7 +179,10 @@ def read_name(column: str) -> Named:
     if group and len(member) == 1:  # in "voltages/a", the letter is a phase, not amperes
         return Named(_match(f"{leaf(group)}_{member}"))
     if split is not None and (_BRACKETS.match(name) or _match(name) is None):
-        return Named(_match(leaf(split[0])), split[1])
+        channel = _match(leaf(split[0]))
+        if not _fits(channel, split[1]):
+            channel = _phase(*split) or channel
+        return Named(channel, split[1])
     bare = _BRACKETS.match(name)  # "Current (phase A)"
     channel = _match(name) or (_match(bare[1]) if bare else None)
     if channel is not None:
