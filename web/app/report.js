@@ -82,21 +82,13 @@ const table = (caption, head, rows) =>
 const { words, found, record, columns } = JSON.parse($("data").textContent);
 $("title").textContent = words.log;
 document.title = `${words.log}: fluxobs`;
-$("what").textContent = `${found.rows} rows at ${(1 / found.sample_time).toPrecision(6)} Hz`;
+$("what").textContent = `${found.rows} rows at ${+(1 / found.sample_time).toPrecision(6)} Hz`;
 
 let ask = null;
 const results = new Results($("results"), record ? (action, given) => ask(action, given) : null);
 $("words").replaceWith(results.words);
 results.explain(words);
 const more = [table("Channels", ["channel", "column", "scale and offset"], words.taken)];
-if (words.parameters.length)
-  more.unshift(
-    table(
-      "Parameters learnt from the log",
-      ["parameter", "value", "± 2σ", "unit", "given"],
-      words.parameters,
-    ),
-  );
 more.push(
   element("h3", { textContent: "Machine" }),
   element("pre", {}, element("code", { textContent: words.machine })),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -81,7 +80,6 @@ def _texts(result: Result, command: str | None) -> dict[str, Any]:
         "commands": [
             item for item in (command, result.export_command(_machine_in(command))) if item
         ],
-        "parameters": _parameter_rows(result),
     }
 
 
@@ -104,20 +102,6 @@ def _channel_rows(log: Log) -> list[list[str]]:
     if log.true is not None:
         rows.append([log.true.channel, " ".join(log.true.columns), "true, for the score"])
     return rows
-
-
-def _parameter_rows(result: Result) -> list[list[str]]:
-    estimates: Mapping[str, Any] = result.facts["parameters"]
-    return [
-        [
-            name,
-            f"{estimate['value']:.6g}",
-            f"{2 * estimate['std']:.2g}",
-            estimate["unit"],
-            f"{estimate['given']:.6g}",
-        ]
-        for name, estimate in estimates.items()
-    ]
 
 
 def _record(result: LogRun) -> dict[str, Any] | None:
