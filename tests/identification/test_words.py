@@ -22,7 +22,7 @@ def apart(value, others, std=0.03):
 def test_four_standard_deviations_disagree(sigmas, disagrees):
     """The limit combines deviations of the log and of four other logs' median, and scatter."""
     others = [(1.0, 0.02), (1.01, 0.02), (0.99, 0.08), (1.0, 0.01)]
-    std = np.sqrt(0.03**2 + (1.4826 * 0.005) ** 2 + (0.02 / 2) ** 2)
+    std = np.sqrt((0.03 / 3) ** 2 + (1.4826 * 0.005) ** 2 + (0.02 / 3 / 2) ** 2)
     differences = apart(1 + sigmas * std, others)
     assert ("R_s" in differences) == disagrees
     for by, size in differences.values():

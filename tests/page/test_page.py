@@ -74,7 +74,7 @@ def equal(opened_page, expected, rounding=ROUNDING):
         if rounding > ROUNDING and name.endswith("_std") and expected["valid"].any():
             error = error[expected["valid"]]
         allowed = share * size + 1e-15
-        std = "drift_std" if name.startswith("drift_") else f"{name}_std"
+        std = "drift_std" if name.startswith("drift_") else f"{name.removesuffix('_error')}_std"
         if rounding > ROUNDING and std in expected.estimates.columns:
             # The iterations end within a share of the standard deviation.
             allowed = max(allowed, SETTLED * float(np.nanmedian(expected[std])))
