@@ -213,7 +213,3 @@ class Budget:
         series = np.concatenate(self.series)[:, QUANTITIES.index(quantity)]
         names = {name: series[:, n] for n, name in enumerate(self.names) if name}
         return {"t": np.concatenate(self.t)} | names
-
-
-def _with_article(name: str) -> str:
-    return name if name.startswith("L_") else f"the {name}"

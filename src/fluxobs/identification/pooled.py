@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 #: A log disagrees if a parameter differs from that of the other logs by this many standard
 #: deviations and by this share: smaller differences do not matter in practice.
 DISAGREES, MATTERS = 4.0, 0.01
-#: Share of a standard deviation that differs from log to log. Sensors, inverter and machine file
-#: are those of one drive, and their errors are most of it: a winding 50 K hotter than in five other
-#: logs has 2.4 standard deviations of its own (tests/identification/test_pooled.py).
+#: Share of a standard deviation that differs from log to log. Most of it comes from the sensors,
+#: the inverter and the machine file, which the logs share. With the whole deviation, a winding that
+#: is 50 K hotter than in five other logs is not found (tests/identification/test_pooled.py).
 INDEPENDENT = 1 / 3
 
 
