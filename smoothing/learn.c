@@ -202,6 +202,7 @@ typedef struct {
     double *information, *gradient; /* columns^2, columns */
     double regressor[FO_P];         /* information on L_d and L_q that is only noise */
     double cost, chi, correlation;
+    double noise; /* part of the cost that is expected from the noise of the currents */
 } normal;
 
 /* Adds the cells' share: -K (B'W E)' (B'W E). */
@@ -253,7 +254,7 @@ static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_sm
     size_t count = 0;
     memset(n->information, 0, P * P * sizeof *n->information);
     memset(n->gradient, 0, P * sizeof *n->gradient);
-    n->cost = 0.0;
+    n->cost = n->noise = 0.0;
     for (size_t b = 0; b < w->blocks; b++)
         if (w->doubtful[b]) n->cost += 0.5 * FO_KNOWN_MISFIT;
     for (size_t k = 0; k < w->measurements * w->blocks; k++) {
@@ -265,7 +266,7 @@ static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_sm
         n->cost += 0.5 * e[0] * e[0] * weight;
         for (size_t kind = 0; kind < w->measurements; kind++) {
             const double noise = w->noise[kind * w->measurements * w->blocks + k] * weight;
-            n->cost -= 0.5 * noise;
+            n->noise += 0.5 * noise;
             regressor_d += about->share_d[kind] * noise;
             regressor_q += about->share_q[kind] * noise;
         }
@@ -283,6 +284,7 @@ static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_sm
     }
     for (size_t i = 0; i < P; i++)
         for (size_t j = 0; j < i; j++) n->information[j * P + i] = n->information[i * P + j];
+    n->cost -= n->noise;
     if (!less_cells(w, s, usual_speed, n)) return false;
     for (size_t i = 0; i < P; i++) {
         const int j = w->active[i];
@@ -442,6 +444,7 @@ static bool iterate(fo_work *w, fo_assumed *out, fo_smoothed *s, normal *n, acce
         a->share = 1.0;
         a->set = true;
         out->cost = n->cost;
+        out->noise = n->noise;
         for (size_t j = 0; j < w->columns; j++) out->p[w->active[j]] += a->step[j];
         memcpy(w->correction, a->to, blocks * sizeof *a->to);
         memcpy(w->psi, a->psi_to, blocks * sizeof *a->psi_to);
@@ -489,7 +492,7 @@ bool fo_learn(fo_work *w, bool learning, fo_assumed *out, fo_smoothed *s)
     double *psis = malloc(2 * blocks * sizeof *psis);
     bool good = small != NULL && long_room != NULL && pairs != NULL && psis != NULL;
     if (good) {
-        normal n = {small, small + P * P, {0.0}, 0.0, 0.0, 0.0};
+        normal n = {small, small + P * P, {0.0}, 0.0, 0.0, 0.0, 0.0};
         double *factor = small + P * P + P;
         accepted a = {{0.0},         factor + P * P, 0.0,
                       1.0,           long_room,      long_room + rows,

@@ -10,7 +10,8 @@ typedef struct {
     double covariance[FO_P * FO_P]; /* of the active assumptions, `columns` rows */
     double chi;          /* mean square of the normalised innovations */
     double correlation;  /* of neighbouring innovations */
-    double cost;         /* a block that is left out costs as one that just fits */
+    double cost;         /* less that of the noise; a block left out costs as one that just fits */
+    double noise;        /* what the noise of the currents would cost */
     double filter_scale; /* factor on the smoother's covariance: the innovations are coloured */
     bool settled; /* learning converged, and no block was left out */
 } fo_assumed;

@@ -69,7 +69,7 @@ double fo_inverter_loss(const fo_model *m, const double p[FO_P])
 }
 
 /* Least inverter loss, as a share of its prior. */
-#define LEAST_LOSS 0.1
+#define LEAST_LOSS 0.5
 
 double fo_inverter_error(const fo_model *m, const double p[FO_P])
 {

@@ -53,8 +53,13 @@ def test_a_log_and_a_scenario(folder):
         folder=folder,
     )
     assert done.returncode == 0, done.stderr
-    assert "The least squares has" in done.stdout
+    assert "The least squares, which learns no parameter, has" in " ".join(done.stdout.split())
     assert "of the scored rows are valid" in done.stdout
+    own = pl.read_csv(folder / "out" / "scores.csv").filter(
+        (pl.col("record") == "log.csv") & pl.col("observer").is_in(["whole log", "adaptive"])
+    )
+    assert own["valid_share"].min() > 0.9
+    assert own["valid_rms_deg"].max() < 0.5
     for entry in CATALOGUE:
         assert entry.name in done.stdout
     scores = pl.read_csv(folder / "out" / "scores.csv")

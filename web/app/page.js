@@ -8,9 +8,30 @@ import { Results, element, themed } from "./results.js";
 const $ = (id) => document.getElementById(id);
 const state = { files: [], known: null, found: null };
 
+// Messages name the flags of the command line; here, the fields of the form.
+const FIELDS = {
+  frame: "Frame",
+  lag: "Lag",
+  "sample-time": "Sample time",
+  from: "From",
+  to: "To",
+  header: "Header",
+  column: "Columns",
+  unit: "Units",
+  scale: "Scales",
+  offset: "Offsets",
+  adc: "Converters",
+  truth: "Truth",
+  unknowns: "Unknowns",
+  memory: "Memory",
+  preset: "Tool",
+};
+const worded = (text) =>
+  text.replace(/--([a-z-]+)/g, (flag, name) => (FIELDS[name] ? `“${FIELDS[name]}”` : flag));
+
 function say(text, kind = "") {
   const box = $("status");
-  box.textContent = text;
+  box.textContent = worded(text);
   box.className = kind;
 }
 function fail(error) {
@@ -40,11 +61,14 @@ $("machine").addEventListener("change", () => again());
 $("machine-file").addEventListener("change", async (event) => {
   const [file] = event.target.files;
   if (file) {
-    $("machine").value = await file.text();
-    $("example").value = "";
+    await openMachine(file);
     again();
   }
 });
+async function openMachine(file) {
+  $("machine").value = await file.text();
+  $("example").value = "";
+}
 
 for (const kind of Object.keys(state.known.kinds))
   if (kind !== "maglev-2dof")
@@ -100,8 +124,14 @@ $("sheet").addEventListener("submit", async (event) => {
 
 // ---- the log ----------------------------------------------------------------------------------
 
-async function open(files) {
-  if (!files.length) return;
+// Open files that were chosen or dropped: a log, a machine file, or both.
+async function open(all) {
+  const files = all.filter((file) => !file.name.toLowerCase().endsWith(".toml"));
+  for (const file of all) if (!files.includes(file)) await openMachine(file);
+  if (!files.length) {
+    if (all.length) again();
+    return;
+  }
   state.chosen = performance.now();
   say(`Reading ${files.map((one) => one.name).join(", ")} …`);
   try {
@@ -314,6 +344,8 @@ async function again() {
     await list(given); // the table of columns is not urgent
     const explained = await ask("explain");
     if (mine !== turn) return;
+    explained.warnings = explained.warnings.map(worded);
+    explained.summary = explained.summary.map(([label, value]) => [label, worded(value)]);
     results.explain(explained);
     state.explained = explained;
     document.body.classList.remove("busy");

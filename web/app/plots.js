@@ -5,6 +5,18 @@ import uPlot from "uplot";
 
 const BLOCK = 64; // rows per block whose minimum and maximum are stored
 
+// Factor and unit with which a value has one to three digits before the point.
+export function prefixed(value, unit) {
+  for (const [factor, prefix] of [
+    [1, ""],
+    [1e-3, "m"],
+    [1e-6, "µ"],
+    [1e-9, "n"],
+  ])
+    if (Math.abs(value) >= factor) return [factor, `${prefix}${unit}`];
+  return [1, unit];
+}
+
 // Columns of a run, with minimum and maximum of blocks of rows.
 export class View {
   constructor(columns) {
@@ -142,6 +154,18 @@ export class View {
     return this.valid;
   }
 
+  // Turns of the rotor in a window, from the electrical speed.
+  turns(from, to) {
+    if (!this.has("speed_e")) return 0;
+    const speed = this.columns.speed_e,
+      first = this.row(from),
+      last = this.row(to) + 1,
+      step = Math.max(1, Math.floor((last - first) / 10_000));
+    let sum = 0;
+    for (let k = first; k < last; k += step) if (speed[k] === speed[k]) sum += Math.abs(speed[k]);
+    return (sum * step * (to - from)) / (last - first) / (2 * Math.PI);
+  }
+
   // Mean, rms, minimum and maximum of the valid rows of a window.
   statistics(name, from, to) {
     const { valid } = this.columns,
@@ -241,6 +265,19 @@ function shade(view) {
   };
 }
 
+// More turns of an angle than this would fill their panel.
+const MOST_TURNS = 60;
+function message(u) {
+  if (!u.message) return;
+  const { ctx, bbox } = u;
+  ctx.save();
+  ctx.fillStyle = style("--soft");
+  ctx.font = `${12 * devicePixelRatio}px system-ui`;
+  ctx.textAlign = "center";
+  ctx.fillText(u.message, bbox.left + bbox.width / 2, bbox.top + bbox.height / 2);
+  ctx.restore();
+}
+
 // A curve that rises and falls within each pixel is drawn as columns of pixels, because stroking it
 // would take longer than all other drawing.
 const linear = uPlot.paths.linear();
@@ -274,8 +311,9 @@ function columns(u, n) {
   ctx.restore();
 }
 
-// The panels of a run. `specs`: [{id, title, unit, series: [{name, label, color, dash, map, fill, less}]}]; the
-// legend shows the value less that of the column `less`
+// The panels of a run. `specs`: [{id, title, unit, turning, series:
+// [{name, label, color, dash, map, fill, less, unlisted}]}]; the legend shows the value less that of
+// the column `less`; a panel that is `turning` shows an angle
 export class Panels {
   constructor(box, { onWindow, onCursor }) {
     this.box = box;
@@ -356,9 +394,10 @@ export class Panels {
             },
           ],
           series: [
-            { label: "t", value: (u) => this.time(u) },
+            { label: "t", value: (u) => this.time(u), class: n ? "off" : undefined },
             ...spec.series.map((s) => ({
               label: s.label,
+              class: s.unlisted ? "off" : undefined,
               stroke: () => style(s.color),
               fill: s.fill ? () => style(s.fill) : undefined,
               width: s.width ?? 1.25,
@@ -371,7 +410,7 @@ export class Panels {
           ],
           bands: (spec.bands ?? []).map((b) => ({ series: b, fill: () => style("--band") })),
           hooks: {
-            drawClear: [shade(() => this.view)],
+            drawClear: [shade(() => this.view), message],
             drawSeries: [columns],
             setSelect: [(u) => this.select(u)],
             setCursor: [
@@ -455,6 +494,10 @@ export class Panels {
         series.map((s) => s.map),
       );
       chart.thinned = data[0].length === 2 * width;
+      const turns = this.specs[n].turning ? this.view.turns(...this.window) : 0;
+      chart.message =
+        turns > MOST_TURNS ? `${Math.round(turns)} electrical turns: zoom in to see the angle` : "";
+      if (chart.message) for (const values of data.slice(1)) values.fill(null);
       chart.setData(data, true);
     });
     this.busy = false;
@@ -575,12 +618,15 @@ export class Locus {
     const first = view.row(from),
       last = view.row(to) + 1,
       step = Math.max(1, Math.floor((last - first) / 6000));
+    const { valid } = view.columns,
+      [, some] = valid ? view.range("valid", first, last) : [0, 0],
+      shown = (k) => (!some || valid[k]) && Number.isFinite(x[k]); // all rows if none is valid
     let most = 1e-12;
-    for (let k = first; k < last; k += step) {
-      const r = Math.max(Math.abs(x[k]), Math.abs(y[k]));
-      if (r > most && r < Infinity) most = r;
-    }
-    const at = (v, up) => ((up ? -v : v) / (1.15 * most) + 1) * (size / 2);
+    for (let k = first; k < last; k += step)
+      if (shown(k)) most = Math.max(most, Math.abs(x[k]), Math.abs(y[k]));
+    const edge = 1.15 * most,
+      [factor, unit] = prefixed(edge, "Wb");
+    const at = (v, up) => ((up ? -v : v) / edge + 1) * (size / 2);
     ctx.scale(scale, scale);
     ctx.strokeStyle = style("--line");
     ctx.beginPath();
@@ -591,14 +637,18 @@ export class Locus {
     ctx.stroke();
     ctx.fillStyle = style("--ink");
     ctx.font = "11px system-ui";
-    ctx.fillText(`${what} in Wb; edge ${(1.15 * most).toPrecision(3)}`, 6, 14);
+    ctx.fillText(`${what}; edge ${(edge / factor).toPrecision(3)} ${unit}`, 6, 14);
     ctx.strokeStyle = style("--blue");
     ctx.lineWidth = 1;
     ctx.beginPath();
-    for (let k = first; k < last; k += step) {
-      const [a, b] = [at(x[k]), at(y[k], true)];
-      if (k === first || !Number.isFinite(a)) ctx.moveTo(a, b);
-      else ctx.lineTo(a, b);
+    for (let k = first, gap = true; k < last; k += step) {
+      if (!shown(k)) gap = true;
+      else {
+        const [a, b] = [at(x[k]), at(y[k], true)];
+        if (gap) ctx.moveTo(a, b);
+        else ctx.lineTo(a, b);
+        gap = false;
+      }
     }
     ctx.stroke();
     if (row == null) return;
@@ -613,7 +663,7 @@ export class Locus {
     ctx.fill();
     canvas.setAttribute(
       "aria-label",
-      `${what}, locus; at the cursor ${x[row].toPrecision(4)} and ${y[row].toPrecision(4)} Wb`,
+      `${what}, locus; at the cursor ${(x[row] / factor).toPrecision(4)} and ${(y[row] / factor).toPrecision(4)} ${unit}`,
     );
   }
 }

@@ -1,6 +1,6 @@
 // Results of a run as plots, text and sliders, for the page and for reports.
 
-import { Locus, Panels, View } from "./plots.js";
+import { Locus, Panels, View, prefixed } from "./plots.js";
 
 const deg = (v) => (v * 180) / Math.PI;
 export const element = (tag, attributes = {}, ...children) => {
@@ -25,14 +25,8 @@ export function themed(button, panels, then) {
 // Format a number with three digits and an SI prefix.
 export function si(value, unit) {
   if (!Number.isFinite(value)) return "–";
-  for (const [size, prefix] of [
-    [1, ""],
-    [1e-3, "m"],
-    [1e-6, "µ"],
-    [1e-9, "n"],
-  ])
-    if (Math.abs(value) >= size) return `${Number((value / size).toPrecision(3))} ${prefix}${unit}`;
-  return `${value === 0 ? 0 : value.toPrecision(2)} ${unit}`;
+  const [factor, named] = prefixed(value, unit);
+  return `${Number((value / factor).toPrecision(3))} ${named}`;
 }
 
 // Parameters that a run may estimate: [name, title, unit].
@@ -98,25 +92,56 @@ function budgetPanel(view, { budget }) {
   ];
 }
 
+// Units of panels that get the prefix of their values.
+const PREFIXED = ["V", "A", "Ω", "Wb", "m"];
+
+// Give a panel the prefix that suits its valid rows.
+function scaled(view, spec) {
+  if (!PREFIXED.includes(spec.unit)) return spec;
+  const same = (v) => v,
+    ends = spec.series.flatMap(({ name, map = same }) =>
+      view.extent(name, view.t[0], view.t[view.rows - 1]).map((v) => Math.abs(map(v))),
+    ),
+    [factor, unit] = prefixed(Math.max(...ends.filter(Number.isFinite)), spec.unit);
+  return {
+    ...spec,
+    unit,
+    series: spec.series.map((s) => ({ ...s, map: (v) => (s.map ?? same)(v) / factor })),
+  };
+}
+
+// A panel of two components, if the view has them.
+function pair(view, id, title, unit, names, labels) {
+  if (!names.every((name) => view.has(name))) return [];
+  const series = names.map((name, n) => ({
+    name,
+    label: labels[n],
+    color: n ? "--orange" : "--blue",
+  }));
+  return [{ id, title, unit, series }];
+}
+
 // The panels of a run.
 export function panels(view, found) {
   const { position } = found,
     [a, b] = found.ports,
     angle = position.unit === "°";
   const factor = (v) => v * position.factor;
-  const out = [
-    {
-      id: "position",
-      title: position.title,
-      unit: position.unit,
-      series: [
-        { name: position.name, label: "estimated", color: "--blue", map: factor },
-        ...(view.has("truth")
-          ? [{ name: "truth", label: "true", color: "--orange", map: factor, dash: [6, 4] }]
-          : []),
-      ],
-    },
-  ];
+  const out = [],
+    drawn = [
+      {
+        id: "position",
+        title: position.title,
+        unit: position.unit,
+        turning: angle,
+        series: [
+          { name: position.name, label: "estimated", color: "--blue", map: factor },
+          ...(view.has("truth")
+            ? [{ name: "truth", label: "true", color: "--orange", map: factor, dash: [6, 4] }]
+            : []),
+        ],
+      },
+    ];
   const error = `${position.name}_error`,
     std = `${position.name}_std`;
   if (view.has(error))
@@ -129,8 +154,8 @@ export function panels(view, found) {
         { name: error, label: "error", color: "--blue", map: factor },
         ...(view.has(std)
           ? [
-              { name: std, label: "+2σ", color: "--grey", map: (v) => 2 * factor(v) },
-              { name: std, label: "−2σ", color: "--grey", map: (v) => -2 * factor(v) },
+              { name: std, label: "± 2σ", color: "--grey", map: (v) => 2 * factor(v) },
+              { name: std, unlisted: true, color: "--grey", map: (v) => -2 * factor(v) },
             ]
           : []),
       ],
@@ -142,23 +167,51 @@ export function panels(view, found) {
       unit: position.unit,
       series: [{ name: std, label: "σ", color: "--blue", map: factor }],
     });
-  if (view.has("speed_e"))
+  if (view.has("speed_e")) {
+    const rpm = found.n_p ? 30 / Math.PI / found.n_p : 1;
     out.push({
       id: "speed",
-      title: "Electrical speed",
-      unit: "rad/s",
-      series: [{ name: "speed_e", label: "speed", color: "--blue" }],
+      title: found.n_p ? "Speed" : "Electrical speed",
+      unit: found.n_p ? "rpm" : "rad/s",
+      series: [
+        {
+          name: "speed_e",
+          label: found.n_p
+            ? `speed; 1000 rpm are ${Math.round(1000 / rpm)} rad/s electrical`
+            : "speed",
+          color: "--blue",
+          map: (v) => rpm * v,
+        },
+      ],
     });
-  out.push(...budgetPanel(view, found));
-  out.push({
-    id: "drift",
-    title: "Drift",
-    unit: "V",
-    series: [
-      { name: `drift_${a}`, label: a === "alpha" ? "α" : a, color: "--blue" },
-      { name: `drift_${b}`, label: b === "beta" ? "β" : b, color: "--orange" },
-    ],
-  });
+  }
+  const axes = angle ? ["d", "q"] : [a, b];
+  for (const [id, title, unit] of [
+    ["i", "Current", "A"],
+    ["u", "Voltage", "V"],
+  ])
+    out.push(
+      ...pair(
+        view,
+        title.toLowerCase(),
+        title,
+        unit,
+        axes.map((axis) => `${id}_${axis}`),
+        axes,
+      ),
+    );
+  out.push(...drawn, ...budgetPanel(view, found));
+  const greek = { alpha: "α", beta: "β" };
+  out.push(
+    ...pair(
+      view,
+      "drift",
+      "Drift",
+      "V",
+      found.ports.map((port) => `drift_${port}`),
+      found.ports.map((port) => greek[port] ?? port),
+    ),
+  );
   for (const [name, named, unit] of PARAMETERS) {
     if (!view.has(name)) continue;
     const bands = view.has(`${name} +`),
@@ -172,8 +225,8 @@ export function panels(view, found) {
         { name, label: title === named ? named.toLowerCase() : "length", color: "--blue" },
         ...(bands
           ? [
-              { name: `${name} +`, label: "+2σ", color: "--grey" },
-              { name: `${name} -`, label: "−2σ", color: "--grey" },
+              { name: `${name} +`, label: "± 2σ", color: "--grey" },
+              { name: `${name} -`, unlisted: true, color: "--grey" },
             ]
           : []),
       ],
@@ -186,7 +239,7 @@ export function panels(view, found) {
       unit: "σ",
       series: [{ name: "innovation", label: "residual", color: "--blue" }],
     });
-  return out.map((one) => ({ ...one, angle }));
+  return out.map((spec) => scaled(view, spec));
 }
 
 // Sliders: [name in the machine file, label, unit].
@@ -297,7 +350,7 @@ export class Results {
   values() {
     const rows = this.panels.specs
       .flatMap((spec) =>
-        spec.series.filter((s) => !s.fill && !s.label.endsWith("2σ")).map((s) => [spec, s]),
+        spec.series.filter((s) => !s.fill && s.color !== "--grey").map((s) => [spec, s]),
       )
       .map(([spec, s]) => {
         const map = s.map ?? ((v) => v),
@@ -311,7 +364,7 @@ export class Results {
           least,
           most,
         ].map((v) => (Number.isFinite(v) ? map(v).toPrecision(5) : "–"));
-        const alone = spec.series.every((one) => one === s || one.label.endsWith("2σ")),
+        const alone = spec.series.every((other) => other === s || other.color === "--grey"),
           label = alone ? "" : `, ${s.label}`;
         return element(
           "tr",
@@ -347,6 +400,12 @@ export class Results {
   }
 
   explain({ summary, warnings = [], findings = [], check_notes: notes = [] }) {
+    this.changedRow = element(
+      "tr",
+      { hidden: this.changedRow?.hidden ?? true, className: "changed" },
+      element("th", { scope: "row", textContent: "with sliders" }),
+      element("td", { textContent: this.changedRow?.lastChild.textContent ?? "" }),
+    );
     this.words.replaceChildren(
       element(
         "table",
@@ -354,6 +413,7 @@ export class Results {
         element(
           "tbody",
           {},
+          this.changedRow,
           ...summary.map(([label, value]) =>
             element(
               "tr",
@@ -461,6 +521,7 @@ export class Results {
         this.changed = {};
         this.makeSliders();
         this.swap(this.first);
+        this.changedRow.hidden = true;
         this.note.textContent = "";
       },
     });
@@ -492,7 +553,9 @@ export class Results {
       });
       this.swap(columns);
       this.took = performance.now() - began;
-      this.note.textContent = this.judged(columns);
+      this.changedRow.hidden = false;
+      this.changedRow.lastChild.textContent = this.judged(columns);
+      this.note.textContent = "";
     } catch (error) {
       this.note.textContent = error.message;
     }
@@ -521,11 +584,11 @@ export class Results {
         }
         if (columns.innovation) residual += columns.innovation[k] ** 2;
       }
-    const parts = [`Valid on ${((100 * known) / valid.length).toFixed(1)} % of the rows`];
+    const parts = [`valid on ${((100 * known) / valid.length).toFixed(1)} % of the rows`];
     if (scored)
       parts.push(`error ${(factor * Math.sqrt(square / scored)).toPrecision(3)}${unit} rms`);
     if (columns.innovation && known)
       parts.push(`residual ${Math.sqrt(residual / known).toPrecision(3)} of its noise`);
-    return `${parts.join("; ")}.`;
+    return `${parts.join("; ")}; the rows below are those of the values as given`;
   }
 }

@@ -59,6 +59,21 @@ const columnsOf = (rows) => {
   return kept.columns();
 };
 
+// Add the currents and voltages of the rows, as the pictures show them.
+function withSignals(columns, log, lag) {
+  const angle = (name) =>
+    name in columns ? new NdArray(Float64Array.from(columns[name]), [columns.t.length], "f") : null;
+  const added = $py("presentation.plot_data").signals(
+    log,
+    opened.run.machine.ports,
+    lag,
+    angle("theta_e"),
+    angle("speed_e"),
+  );
+  for (const [name, values] of added.items()) [columns[name]] = values.flat();
+  return columns;
+}
+
 // Read a machine from the text of its file.
 function machineFrom(text) {
   const { loads, TOMLDecodeError } = $import("tomllib");
@@ -110,7 +125,7 @@ function runOver(log, machine, unknowns, memory, priors, causal, progress) {
     $kw(Object.fromEntries(passes.found().items())),
   );
   opened.kept = null;
-  return kept.columns();
+  return withSignals(kept.columns(), log, opened.run.lag?.lag ?? null);
 }
 
 const actions = {
@@ -221,7 +236,7 @@ const actions = {
       python(priors ?? {}),
       lag ?? null,
     );
-    return { columns: columnsOf(rows) };
+    return { columns: withSignals(columnsOf(rows), opened.log, lag ?? null) };
   },
 
   // Start to estimate a stream.
@@ -292,6 +307,7 @@ onmessage = ({ data: { id, action, given } }) => {
       if (action === "start") {
         $load(given.wasm);
         // keep everything read: there are no files to read again
+        $py("errors").name_flags(true); // the page names its own fields in their place
         const source = $py("logs.formats.text.source");
         source.KEPT = source.KEPT_NUMBERS = 2 ** 30;
         postMessage({ id, result: {} });

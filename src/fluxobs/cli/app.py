@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from ..errors import FluxobsError
+from ..errors import FluxobsError, name_flags
 from .commands.campaign import campaign
 from .commands.channels import channels
 from .commands.check import check
@@ -132,6 +132,7 @@ def main() -> None:
         ):  # keep nohup's setting
             signal.signal(number, lambda number, frame: sys.exit(128 + number))
     signal.signal(signal.SIGINT, _raise_stopped)
+    before = name_flags(True)
     try:
         app(args=repeat_options(sys.argv[1:]), prog_name="fluxobs")
     except Stopped as stopped:
@@ -140,3 +141,5 @@ def main() -> None:
     except FluxobsError as error:
         echo(f"Error: {error}", err=True)
         raise SystemExit(2) from None
+    finally:
+        name_flags(before)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,6 +23,8 @@ from ..logs.read import Source
 from ..machines import MachineSource, RotatingMachine, as_machine, rotating
 from ..observers import Observer
 from ..observers.for_log import LEAST_NOISE, VOLTAGE_OFFSET
+from ..presentation.estimate import estimate
+from ..presentation.result import Result
 from ..simulation.drive.simulate import stack
 from ..simulation.drive.vectors import vector
 from .bound import position_bound
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
 
 #: Number of gain sets that each observer runs at once; equal for comparable run times.
 LANES = 24
+#: The observers of `fluxobs estimate`: they learn the drive's parameters from the record.
+WHOLE_LOG, ADAPTIVE = "whole log", "adaptive"
 #: Suffix that names the least squares' tracked angle.
 TRACKED = ", tracked"
 
@@ -93,13 +97,19 @@ class Comparison:
         """Magnitude of the machine's flux [Wb]."""
         return self.setting.voltage / self.setting.speed_e
 
+    @property
+    def learnt(self) -> list[ObserverResult]:
+        """Results of the observers of `fluxobs estimate`, if they ran."""
+        return [result for result in self.results if result.name in (WHOLE_LOG, ADAPTIVE)]
+
     def result(self, name: str) -> ObserverResult:
         return next(result for result in self.results if result.name == name)
 
     @property
     def best(self) -> ObserverResult:
-        """Result with the smallest tuned rms position error."""
-        return min(self.results, key=lambda result: result.tuned.rms)
+        """Result with the smallest tuned rms position error, of the observers of the catalogue."""
+        others = [result for result in self.results if result not in self.learnt]
+        return min(others, key=lambda result: result.tuned.rms)
 
 
 class _Outputs(NamedTuple):
@@ -230,6 +240,45 @@ def _score_best(
     return ObserverResult(name, scores[0], scores[best], gains[0], gains[k], error, seconds)
 
 
+def _estimated(estimates: Result, truth: Truth, name: str, seconds: float) -> ObserverResult:
+    """Score the estimates of `fluxobs estimate`."""
+    theta, flux = estimates["theta_e"], estimates["flux_alpha"] + 1j * estimates["flux_beta"]
+    scores = score(theta, estimates["speed_e"], flux, truth, estimates["valid"])
+    error = np.where(estimates["valid"], scored_error(theta, truth), np.nan)
+    return ObserverResult(name, scores, scores, {}, {}, error, seconds / len(theta))
+
+
+def with_estimates(
+    comparison: Comparison,
+    log: Source,
+    machine: RotatingMachine,
+    whole: tuple[Result, float] | None = None,
+) -> Comparison:
+    """Add the observers of `fluxobs estimate` to a comparison.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    log : Log or Record
+    machine : RotatingMachine
+    whole : (Result, float), optional
+        The estimates of the whole log and their time [s], if they are known.
+    """
+    whole, adaptive = whole or _timed(log, machine), _timed(log, machine, causal=True)
+    results = (
+        _estimated(estimates, comparison.truth, name, seconds)
+        for name, (estimates, seconds) in ((WHOLE_LOG, whole), (ADAPTIVE, adaptive))
+    )
+    return replace(comparison, results=(*results, *comparison.results))
+
+
+def _timed(log: Source, machine: RotatingMachine, causal: bool = False) -> tuple[Result, float]:
+    """Return the estimates of a log and the time that they took [s]."""
+    began = time.perf_counter()
+    estimates = estimate(log, machine, causal=causal)
+    return estimates, time.perf_counter() - began
+
+
 def compare(
     log: Source,
     machine: MachineSource | None = None,
@@ -317,7 +366,7 @@ def compare_scenario(
     bounded = scenario.noise > 0 and machine.saliency == 0.0 and not scenario.believed
     bound = _bound(scenario, machine, setting, run.trace) if bounded else None
     about = scenario.about + "".join(f"; {event}" for event in run.events)
-    return compare_record(
+    comparison = compare_record(
         scenario.name,
         about,
         voltage,
@@ -329,6 +378,7 @@ def compare_scenario(
         entries,
         progress,
     )
+    return comparison if entries is not None else with_estimates(comparison, record, believed)
 
 
 def compare_log(
@@ -345,17 +395,22 @@ def compare_log(
     RecordError
         The log has no true angle, or ends before `settle`.
     """
-    path = log.path
-    batches = list(log.aligned())
-    if log.truth is None:
+    path, named = log.path, log.truth
+    if named is None:
         raise RecordError(
             f"{path}: the log has no true angle to score observers; give "
             f"--truth theta_mech=COLUMN or theta_e=COLUMN"
         )
+    whole: tuple[Result, float] | None = None
+    if entries is None:  # all observers read the log with the lag that it tells
+        whole = _timed(log, machine)
+        decision = whole[0].lag
+        log = log if decision is None else log.lagged(decision.lag - log.layout.lag)
+    batches = list(log.aligned())
     t, current, voltage, true_angle = (
         np.concatenate([np.asarray(batch[k]) for batch in batches]) for k in range(4)
     )
-    true_angle = machine.true_position(log.truth[0], true_angle)
+    true_angle = machine.true_position(named[0], true_angle)
     h = log.sample_time
     if t[-1] - t[0] <= settle:
         raise RecordError(
@@ -368,9 +423,10 @@ def compare_log(
     setting = setting_for(h, voltage, current, machine, float(np.percentile(speed, 95)))
     truth = Truth(t - t[0], true_angle, None, None, settle, machine)
     about = f"{len(t)} rows of {h:g} s; lag {log.layout.lag:g}"
-    return compare_record(
+    comparison = compare_record(
         path.name, about, voltage, current, setting, truth, entries=entries, progress=progress
     )
+    return comparison if entries is not None else with_estimates(comparison, log, machine, whole)
 
 
 def _bound(scenario: Scenario, machine: RotatingMachine, setting: Setting, trace: Any) -> float:

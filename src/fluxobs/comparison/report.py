@@ -13,7 +13,7 @@ import numpy as np
 from ..core import html
 from ..core.output import write_text
 from ..core.plots import BLUE, GREY, ORANGE, STYLE, plain, write
-from .compare import LANES, Comparison, ObserverResult
+from .compare import ADAPTIVE, LANES, WHOLE_LOG, Comparison, ObserverResult
 from .scoring import Score
 
 if TYPE_CHECKING:
@@ -32,16 +32,24 @@ def least_squares_result(comparison: Comparison) -> ObserverResult:
 
 
 def other_results(comparison: Comparison) -> list[ObserverResult]:
-    """Return the results of all other observers, best first."""
-    results = [r for r in comparison.results if not r.name.startswith(LEAST_SQUARES)]
+    """Return the results of the published observers, best first."""
+    results = [
+        result
+        for result in comparison.results
+        if not result.name.startswith(LEAST_SQUARES) and result not in comparison.learnt
+    ]
     return sorted(results, key=lambda result: result.tuned.rms)
 
 
 def verdict(comparison: Comparison) -> str:
-    """Compare the least squares with the best observer and the bound; explain a difference."""
+    """Compare the observers of fluxobs with the best other and the bound; explain a difference."""
     least_squares, best = least_squares_result(comparison), comparison.best
     rms = np.degrees(least_squares.tuned.rms)
-    text = f"The least squares has {_degrees(rms)} rms"
+    text = "".join(
+        f"{result.name.capitalize()}: {_describe_valid(result.tuned)}. "
+        for result in comparison.learnt
+    )
+    text += f"The least squares, which learns no parameter, has {_degrees(rms)} rms on all rows"
     if comparison.bound is not None:
         untracked_rms = comparison.result(LEAST_SQUARES).tuned.rms
         text += (
@@ -49,7 +57,8 @@ def verdict(comparison: Comparison) -> str:
             f"Cramér-Rao bound of {_degrees(np.degrees(comparison.bound))} for an angle without "
             "a motion model"
         )
-    text += _describe_validity(comparison.result(LEAST_SQUARES).recommended)
+    default = comparison.result(LEAST_SQUARES).recommended
+    text += f". With its default memory: {_describe_valid(default)}."
     if least_squares.tuned.rms <= NEAR * best.tuned.rms:
         if best is least_squares:
             for runner_up in other_results(comparison)[:1]:
@@ -60,16 +69,16 @@ def verdict(comparison: Comparison) -> str:
         else:
             text += f" The best is {best.name} with {_rms(best.tuned)}, at most 10 % better."
         return text
-    text += f" The best is {best.name} with {_rms(best.tuned)}"
+    text += f" The best on all rows, with tuned gains, is {best.name} with {_rms(best.tuned)}"
     return text + (f": {comparison.limit}." if comparison.limit else ".")
 
 
-def _describe_validity(default: Score) -> str:
-    """State the share of valid rows and the largest valid error, with the default memory."""
-    text = f". With its default memory, {default.claimed:.0%} of the scored rows are valid"
-    if default.claimed:
-        text += f", with errors up to {_degrees(np.degrees(default.worst_claimed))}"
-    return text + "."
+def _describe_valid(score: Score) -> str:
+    """State the share of valid rows, their rms error and the largest."""
+    if not score.claimed:
+        return "no scored row is valid"
+    rms, worst = _degrees(np.degrees(score.rms_claimed)), _degrees(np.degrees(score.worst_claimed))
+    return f"{score.claimed:.0%} of the scored rows are valid, with {rms} rms, {worst} at most"
 
 
 def _number(value: float) -> str:
@@ -86,32 +95,45 @@ def _degrees(value: float) -> str:
 
 #: Headings of the table; the first column names the observer.
 HEADS = (
-    *("observer", "usual\nrms [°]", "tuned\nrms [°]", "max\n[°]", "speed\n[rad/s]"),
-    *("flux\n[% ψ]", "settled\n[ms]", "lost\n[%]", "time\n[ns]"),
+    *("observer", "valid\n[%]", "valid\nrms [°]", "valid\nmax [°]", "usual\nrms [°]"),
+    *("tuned\nrms [°]", "max\n[°]", "lost\n[%]", "time\n[ns]"),
 )
 
 
 def _caption(comparison: Comparison) -> str:
     return (
-        f"{comparison.about}. Gains are usual or tuned for this record. Settled: first 50 ms below "
-        f"10°. Time: per sample in JAX with {LANES} settings at once"
+        f"{comparison.about}. Valid: rows that the observer calls valid, and its errors there; the "
+        f"other errors are those of all rows. Gains are usual or tuned for this record; whole log "
+        f"and adaptive observer have none, they learn the parameters. Time: per sample, "
+        f"with {LANES} settings at once in JAX, or in C"
     )
 
 
 def table_lines(comparison: Comparison) -> list[list[str]]:
-    """Return the lines of the table, best observer first."""
+    """Return the lines of the table: first those that learn, then the best with tuned gains."""
     lines = []
-    for result in sorted(comparison.results, key=lambda r: r.tuned.rms):
+    for result in (
+        *comparison.learnt,
+        *sorted(
+            (result for result in comparison.results if result not in comparison.learnt),
+            key=lambda result: result.tuned.rms,
+        ),
+    ):
         tuned = result.tuned
+        states = result in comparison.learnt or result.name.startswith(LEAST_SQUARES)
+        valid = [f"{100 * tuned.claimed:.1f}"] if states else ["", "", ""]
+        if states:
+            valid += [
+                _number(np.degrees(tuned.rms_claimed)) if tuned.claimed else "",
+                _number(np.degrees(tuned.worst_claimed)) if tuned.claimed else "",
+            ]
         lines.append(
             [
                 result.name,
-                _number(np.degrees(result.recommended.rms)),
+                *valid,
+                "" if result in comparison.learnt else _number(np.degrees(result.recommended.rms)),
                 _number(np.degrees(tuned.rms)),
                 _number(np.degrees(tuned.worst)),
-                "" if tuned.speed is None else f"{tuned.speed:.2f}",
-                "" if tuned.flux is None else f"{100 * tuned.flux / comparison.psi:.2f}",
-                "never" if np.isnan(tuned.settled) else f"{1e3 * tuned.settled:.0f}",
                 f"{100 * tuned.lost:.1f}" if tuned.lost else "",
                 f"{1e9 * result.time:.0f}",
             ]
@@ -120,7 +142,7 @@ def table_lines(comparison: Comparison) -> list[list[str]]:
 
 
 def table(comparison: Comparison) -> Table:
-    """Return the table for the terminal, best observer first."""
+    """Return the table for the terminal."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -133,7 +155,8 @@ def table(comparison: Comparison) -> Table:
         # As Text, since rich would take [ms] as markup.
         terminal_table.add_column(Text(name), justify="right", no_wrap=True)
     for row in table_lines(comparison):
-        terminal_table.add_row(*row, style="bold" if row[0].startswith(LEAST_SQUARES) else None)
+        own = row[0].startswith((WHOLE_LOG, ADAPTIVE, LEAST_SQUARES))
+        terminal_table.add_row(*row, style="bold" if own else None)
     return terminal_table
 
 
@@ -175,6 +198,9 @@ COLUMNS = (
     "flux_rms_Wb",
     "below_10_deg_after_s",
     "lost_share",
+    "valid_share",
+    "valid_rms_deg",
+    "valid_largest_deg",
     "bound_rms_deg",
     "ns_a_sample",
 )
@@ -203,6 +229,9 @@ def write_csv(comparisons: Sequence[Comparison], path: Path) -> None:
                         "" if score.flux is None else f"{score.flux:.5g}",
                         "" if np.isnan(score.settled) else f"{score.settled:.5g}",
                         f"{score.lost:.5g}",
+                        f"{score.claimed:.5g}",
+                        f"{np.degrees(score.rms_claimed):.5g}" if score.claimed else "",
+                        f"{np.degrees(score.worst_claimed):.5g}" if score.claimed else "",
                         "" if c.bound is None else f"{np.degrees(c.bound):.5g}",
                         f"{1e9 * result.time:.0f}",
                     ]
@@ -217,7 +246,7 @@ def draw(comparison: Comparison, path: Path) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    results = sorted(comparison.results, key=lambda r: -r.tuned.rms)
+    results = sorted(comparison.results, key=_shown_rms, reverse=True)
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(11, 5), layout="constrained")
         bars, course = figure.subplots(1, 2, width_ratios=[1, 1.2])
@@ -230,11 +259,18 @@ def draw(comparison: Comparison, path: Path) -> None:
         plt.close(figure)
 
 
+def _shown_rms(result: ObserverResult) -> float:
+    """Return the rms error that a picture shows: of the valid rows if gains are not tuned."""
+    learns = result.name in (WHOLE_LOG, ADAPTIVE)
+    return result.tuned.rms_claimed if learns and result.tuned.claimed else result.tuned.rms
+
+
 def _draw_bars(axes: Axes, results: Sequence[ObserverResult], bound: float | None) -> None:
     positions = np.arange(len(results))
-    tuned = np.degrees([r.tuned.rms for r in results])
+    tuned = np.degrees([_shown_rms(r) for r in results])
     recommended = np.degrees([r.recommended.rms for r in results])
-    colors = [BLUE if r.name.startswith(LEAST_SQUARES) else GREY for r in results]
+    own = (WHOLE_LOG, ADAPTIVE, LEAST_SQUARES)
+    colors = [BLUE if r.name.startswith(own) else GREY for r in results]
     left_edge = min(tuned.min(), 0.05) / 2
     axes.barh(
         positions,
@@ -244,6 +280,7 @@ def _draw_bars(axes: Axes, results: Sequence[ObserverResult], bound: float | Non
         height=0.6,
         label="gains tuned here",
     )
+    recommended = np.where([r.name in (WHOLE_LOG, ADAPTIVE) for r in results], tuned, recommended)
     axes.plot(recommended, positions, "|", color=ORANGE, markersize=11, markeredgewidth=2)
     axes.plot([], [], "|", color=ORANGE, markersize=9, markeredgewidth=2, label="usual gains")
     if bound is not None:
@@ -254,21 +291,21 @@ def _draw_bars(axes: Axes, results: Sequence[ObserverResult], bound: float | Non
     axes.set_xscale("log")
     axes.set_xlim(left_edge, 2.5 * max(tuned.max(), recommended.max()))
     axes.set_yticks(positions, [r.name for r in results], fontsize=8)
-    axes.set_xlabel("position error, rms [°]")
+    axes.set_xlabel("position error, rms [°]; whole log and adaptive: on valid rows")
     axes.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), ncols=3)
 
 
 def _draw_course(axes: Axes, comparison: Comparison) -> None:
     t = comparison.truth.t
     least_squares = least_squares_result(comparison)
-    shown = [*other_results(comparison)[:3][::-1], least_squares]
+    shown = [*other_results(comparison)[:2][::-1], least_squares, *comparison.learnt[:1]]
     colors = ["#9ecae1", ORANGE, "#7b9e5b", BLUE]
     step = max(1, len(t) // 4000)
     for result, color in zip(shown, colors[-len(shown) :], strict=True):
         error = np.degrees(result.error)[::step]
         error[1:][np.abs(np.diff(error)) > 180] = np.nan  # no line where the angle wraps
         axes.plot(t[::step], error, color=color, label=result.name)
-    largest = max(r.tuned.worst for r in shown)
+    largest = max(r.tuned.worst for r in shown if r not in comparison.learnt)
     axes.set_ylim(-1.2 * np.degrees(largest), 1.2 * np.degrees(largest))
     axes.axvspan(t[0], comparison.truth.score_from, color="0.9", linewidth=0)
     axes.set_xlim(t[0], t[-1])
@@ -286,7 +323,7 @@ def draw_summary(comparisons: Sequence[Comparison], path: Path) -> None:
     from matplotlib.colors import LogNorm
 
     names = [r.name for r in comparisons[0].results]
-    values = np.array([[np.degrees(c.result(n).tuned.rms) for c in comparisons] for n in names])
+    values = np.degrees([[_shown_rms(c.result(n)) for c in comparisons] for n in names])
     with plt.rc_context(STYLE):
         width = max(7.0, 3.2 + 0.42 * len(comparisons))
         figure, axes = plt.subplots(figsize=(width, 4.6), layout="constrained")

@@ -46,6 +46,8 @@ class Score:
         Share of the scored rows that the observer marks as valid.
     worst_claimed : float
         Largest absolute position error on the scored valid rows [rad].
+    rms_claimed : float
+        Rms position error on the scored valid rows [rad]; nan if there are none.
     """
 
     rms: float
@@ -56,6 +58,7 @@ class Score:
     lost: float
     claimed: float = 1.0
     worst_claimed: float = 0.0
+    rms_claimed: float = float("nan")
 
 
 def scored_error(estimated: Array, truth: Truth) -> Array:
@@ -109,4 +112,7 @@ def score(
         float(np.mean(error[scored] > LOST)),
         float(np.mean(claimed[scored])),
         float(error[scored & claimed].max(initial=0.0)),
+        float(np.sqrt(np.mean(error[scored & claimed] ** 2)))
+        if (scored & claimed).any()
+        else float("nan"),
     )

@@ -2,9 +2,9 @@
 
 Most drives apply a voltage one sample after the currents from which it was computed (lag -1), or
 log it so that it acts from its row on (lag 0). The smoother estimates the log with both, and with
-the neighbour of the better one (-2 or +1); each estimate allows for a spread around its lag. The
-costs are the negative logarithms of the likelihoods, and the weights follow from Bayes' rule. Where
-the log cannot decide, the difference of the estimates is part of the standard deviation.
+-2 and +1, which are rare; each estimate allows for a spread around its lag. The costs are the
+negative logarithms of the likelihoods, and the weights follow from Bayes' rule. Where the log
+cannot decide, the difference of the estimates is part of the standard deviation.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 from ..core.arrays import Array
 
 #: Lags to try, relative to the lag with which a log is read: 0 [samples].
-LAGS = (0, -1)
-#: Lags that are tried if they are next to the best of LAGS, and the cost of their prior: one drive
-#: in ten computes for two samples, or logs the voltage that acted before its row.
-UNUSUAL_LAGS, UNUSUAL_COST = (-2, 1), float(np.log(10))
+LAGS = (0, -1, -2, 1)
+#: Lags that are rare, and the cost of their prior: some drives compute for two samples, or log the
+#: voltage that acted before its row.
+UNUSUAL_LAGS, UNUSUAL_COST = (-2, 1), float(np.log(4))
 #: From this weight of another lag on, the log cannot decide. The weights are calibrated: of 96
 #: drives with every error at once, the wrong lag has more than 0.95 of the weight on 9 %, where
 #: the other assumptions replace the lag (benchmarks/whole_log.py --unknown-lag).

@@ -81,6 +81,8 @@ SEGMENTS, SEGMENT_ROWS = 8, 65_536
 PARTS, MOST_EVENTS = 4, 0.2
 #: Cost of an estimate without the direction of injected rows: a lag with which they fit is better.
 WITHOUT_DIRECTION = 500.0
+#: With this multiple of the standard deviation of the best hypothesis, another has not converged.
+LARGER_STD = 1.5
 #: Cost that excludes a lag.
 UNLIKELY = 1e3
 
@@ -182,7 +184,12 @@ class WholeLog:
             stated_items(self.machine, priors),
         )
         self.model: SmoothingModel | None = None
-        self.hypotheses = [Hypothesis(shift) for shift in shifts]
+        self.hypotheses = [
+            Hypothesis(
+                shift, prior=UNUSUAL_COST if len(shifts) > 1 and shift in UNUSUAL_LAGS else 0
+            )
+            for shift in shifts
+        ]
         self.weights: dict[int, float] = {}
         self.checked: Check | None = None
         self._learnt = False
@@ -331,11 +338,10 @@ class WholeLog:
     def _learn_segments(self) -> None:
         """Learn the course of the parameters from segments of a long log."""
         self._learn_from_segments(self.hypotheses, self.count)
-        for more in (self._other_lags, self._other_inductances):
-            others = more()
-            if others:
-                self._learn_from_segments(others, lambda _: None)
-                self.hypotheses += others
+        others = self._other_inductances()
+        if others:
+            self._learn_from_segments(others, lambda _: None)
+            self.hypotheses += others
         self._weigh()
         self.budget.misfit = self.course.misfit
 
@@ -358,18 +364,6 @@ class WholeLog:
         for n, hypothesis in enumerate(hypotheses):
             if self.model is not None and learnings[n]:
                 hypothesis.course = course_of(self.model, learnings[n])
-
-    def _other_lags(self) -> list[Hypothesis]:
-        """Return hypotheses of unusual lags next to the best one; all of them if none fits."""
-        if len(self.hypotheses) < 2:
-            return []
-        best = self._cheapest
-        fits = best.course.misfit < SUSPICIOUS_MISFIT
-        return [
-            Hypothesis(lag, prior=UNUSUAL_COST)
-            for lag in UNUSUAL_LAGS
-            if not fits or abs(lag - best.shift) == 1
-        ]
 
     def _other_inductances(self) -> list[Hypothesis]:
         """Return hypotheses of a wrong inductance if what was learnt is suspicious."""
@@ -417,7 +411,11 @@ class WholeLog:
         anchors: NDArray[np.bool_],
         hypotheses: list[Hypothesis],
     ) -> list[SmoothedRecord]:
-        """Smooth and learn with each hypothesis."""
+        """Smooth and learn with each hypothesis.
+
+        A hypothesis that did not converge starts once more from the best one, which may have found
+        another angle or other parameters. Only then do the costs tell the hypotheses apart.
+        """
 
         def learn(hypothesis: Hypothesis) -> SmoothedRecord:
             return self._learn(
@@ -426,7 +424,43 @@ class WholeLog:
                 anchors,
             )
 
-        return list(in_parallel(learn, iter(hypotheses)))
+        records = list(in_parallel(learn, iter(hypotheses)))
+        best = min(records, key=rank)
+        if not best.misfit < SUSPICIOUS_MISFIT:
+            return records
+        usual = LARGER_STD * typical_std(best)
+
+        def again(pair: tuple[Hypothesis, SmoothedRecord]) -> SmoothedRecord:
+            hypothesis, record = pair
+            fits = record.misfit < SUSPICIOUS_MISFIT and typical_std(record) < usual
+            same = record.model.rows_per_block == best.model.rows_per_block
+            if record is best or (fits and same and record.settled):
+                return record
+            return self._learn_from(best, later(rows, hypothesis.shift), hypothesis, record)
+
+        return list(in_parallel(again, zip(hypotheses, records, strict=True)))
+
+    def _learn_from(
+        self,
+        best: SmoothedRecord,
+        rows: Anchored,
+        hypothesis: Hypothesis,
+        record: SmoothedRecord,
+    ) -> SmoothedRecord:
+        """Learn from the angles and parameters of another hypothesis; return the better record."""
+        angle, std = best.outputs["theta_e"], best.outputs["theta_e_std"]
+        known = best.known & (std < max(VALID_STD, LARGER_STD * typical_std(best)))
+        if known.sum() < LEAST_ANCHORS or self.model is None:
+            return record
+        model = with_inductance(
+            self.model.with_numbers(speed=best.model.numbers["speed"]), hypothesis.inductance
+        )
+        samples = self._samples(Anchored(rows.samples, angle, std, known), known)
+        start = best.assumed.with_deviation("lag", 0.0).with_deviation("delay", 0.0)
+        other = learn_record(model, samples, start)
+        same = record.model.rows_per_block == other.model.rows_per_block
+        worse = rank(record)[0] or not same or record.cost.sum > other.cost.sum
+        return other if worse and np.isfinite(other.cost.sum) else record
 
     def _add_costs(
         self, hypotheses: list[Hypothesis], records: list[SmoothedRecord], rows: Anchored
@@ -650,11 +684,10 @@ class WholeLog:
                 records.append((hypothesis, record))
 
         learn(self.hypotheses)
-        for more in (self._other_lags, self._other_inductances):
-            others = more()
-            if others:
-                learn(others)
-                self.hypotheses += others
+        others = self._other_inductances()
+        if others:
+            learn(others)
+            self.hypotheses += others
         self._weigh()
         kept = [
             record for hypothesis in self.hypotheses for own, record in records if own is hypothesis

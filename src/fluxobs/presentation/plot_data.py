@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from ..core.arrays import Array
 from ..estimation.run import LogRun
+from ..logs.log import Log
+from ..logs.time.aligned import joined
 from ..machines import Machine
+from ..machines.model.frames import rotate
 
 #: Contributions that a picture shows by name.
 BUDGET_LAYERS = 5
@@ -18,6 +23,7 @@ def shown_machine(machine: Machine) -> dict[str, Any]:
     position = machine.position_output
     return {
         "ports": list(machine.ports),
+        "n_p": getattr(machine, "n_p", None),
         "position": {
             "name": position.name,
             "unit": position.unit,
@@ -49,6 +55,40 @@ def shown(run: LogRun) -> dict[str, Any]:
                 if value is None or isinstance(value, int | float)
             },
         },
+    }
+
+
+def signals(
+    log: Log,
+    ports: Sequence[str],
+    lag: float | None,
+    theta_e: Array | None,
+    speed_e: Array | None,
+) -> dict[str, Array]:
+    """Return the currents [A] and voltages [V] of all rows as pictures show them.
+
+    Those of a rotating machine are along d and q of the estimated rotor.
+
+    Parameters
+    ----------
+    log : Log
+    ports : sequence of str
+        Of the machine.
+    lag : float, optional
+        Lag that was learnt [samples]; default: that of the log.
+    theta_e, speed_e : (rows,) ndarray, optional
+        Estimates [rad], [rad/s].
+    """
+    rows = joined(list((log if lag is None else log.lagged(lag - log.layout.lag)).aligned()))
+    current, voltage, axes = rows.current, rows.voltage, ports
+    if theta_e is not None:
+        axes = ("d", "q")
+        middle = theta_e if speed_e is None else theta_e - speed_e * (log.sample_time / 2)
+        current, voltage = rotate(current, -theta_e), rotate(voltage, -middle)
+    return {
+        f"{name}_{axis}": values[:, n]
+        for name, values in (("i", current), ("u", voltage))
+        for n, axis in enumerate(axes)
     }
 
 

@@ -17,7 +17,7 @@ from ..logs.log import Log
 from ..machines.file_text import machine_text
 from ..observers import ImmersionObserver
 from ..page.columns import exact, flags, rounded
-from .plot_data import shown
+from .plot_data import shown, signals
 from .result import Result
 
 #: Longest encoded record in a report [characters]. Without the record, a report cannot recompute.
@@ -149,4 +149,8 @@ def _columns(result: Result) -> dict[str, Any]:
             columns[name] = exact(values.astype(float))
         elif name not in NOT_SHOWN:
             columns[name] = rounded(values.astype(float))
+    angles = [table[n].to_numpy() if n in table.columns else None for n in ("theta_e", "speed_e")]
+    lag = None if result.lag is None else result.lag.lag
+    for name, values in signals(result.log, result.machine.ports, lag, *angles).items():
+        columns[name] = rounded(values)
     return columns

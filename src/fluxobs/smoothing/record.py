@@ -43,6 +43,8 @@ CELL_ERROR = 0.001
 INVERTER_ERROR = 0.15
 #: Change of the magnet flux and of the resistance, as a share in a second: temperature.
 PSI_RATE, RESISTANCE_RATE = 0.01, 0.005
+#: Relative error of the estimated variance of the currents' noise.
+NOISE_ERROR = 0.05
 #: Standard deviation of the drift: share of the rated resistive drop, and of the voltage.
 DRIFT_CURRENT, DRIFT_VOLTAGE = 0.02, 0.01
 
@@ -273,6 +275,27 @@ class SmoothedRecord:
     shares: Array
 
 
+def innovation_cost(excess: float, noise: float, blocks: int) -> float:
+    """Return the cost of innovations whose squares exceed those of the noise, or fall below them.
+
+    Innovations smaller than the noise of the currents contradict a hypothesis too: a current
+    controller returns that noise in its voltages, and a wrong lag may subtract it.
+
+    Parameters
+    ----------
+    excess : float
+        Half the sum of the weighted squares, less what the noise would have.
+    noise : float
+        Half the sum that the noise would have.
+    blocks : int
+        Their number.
+    """
+    if excess >= 0 or noise <= 0:
+        return excess
+    variance = 2 * (2 * noise) ** 2 / blocks + (NOISE_ERROR * 2 * noise) ** 2
+    return 0.5 * (2 * excess) ** 2 / variance
+
+
 def smooth_record(
     model: SmoothingModel, samples: RecordSamples, start: Assumed, *, learning: bool
 ) -> SmoothedRecord:
@@ -317,7 +340,8 @@ def smooth_record(
     outputs = {name: columns[n] for n, name in enumerate(OUTPUTS)}
     converged = bool(np.isfinite(outputs["theta_e"]).all())
     prior = sum((learnt.deviations[name] / model.stds[name]) ** 2 for name in model.active) / 2
-    innovations = float(about[2]) - prior
+    blocks = len(samples.voltage) // model.rows_per_block
+    innovations = innovation_cost(float(about[2]) - prior, float(about[5]), blocks)
     return SmoothedRecord(
         model,
         learnt,
