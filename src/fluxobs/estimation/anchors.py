@@ -88,14 +88,17 @@ def _filled(values: Array) -> Array:
 
 
 def _short_gaps_filled(voltage: Array) -> Array:
-    """Interpolate short gaps and the ends; the volt-seconds of a longer gap are unknown."""
+    """Interpolate short gaps; the volt-seconds of a longer gap and at the ends are unknown.
+
+    No interval ends at the first row: it gets any voltage.
+    """
     missing = np.asarray(~np.isfinite(voltage).all(axis=1))
     if not missing.any():
         return voltage
     filled = _filled(voltage)
     for start, end in runs(missing):
-        if end - start > SHORT_GAP and start > 0 and end < len(voltage):
-            filled[start:end] = np.nan
+        if end - start > SHORT_GAP or (start == 0 and end > 1) or end == len(voltage):
+            filled[max(start, 1) : end] = np.nan
     return filled
 
 

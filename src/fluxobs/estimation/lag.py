@@ -19,7 +19,7 @@ from ..core.arrays import Array
 LAGS = (0, -1, -2, 1)
 #: Lags that are rare, and the cost of their prior: some drives compute for two samples, or log the
 #: voltage that acted before its row.
-UNUSUAL_LAGS, UNUSUAL_COST = (-2, 1), float(np.log(4))
+UNUSUAL_LAGS, UNUSUAL_COST = (-2, 1), float(np.log(2))
 #: From this weight of another lag on, the log cannot decide. The weights are calibrated: of 96
 #: drives with every error at once, the wrong lag has more than 0.95 of the weight on 9 %, where
 #: the other assumptions replace the lag (benchmarks/whole_log.py --unknown-lag).
@@ -54,10 +54,10 @@ class LagDecision:
 def shifted(voltage: Array, shift: int) -> Array:
     """Return the voltages of the intervals if the lag is larger by `shift` samples.
 
-    Intervals beyond the log repeat its first or last voltage.
+    Voltages of intervals beyond the log are unknown, NaN.
     """
     if shift == 0:
         return voltage
     if shift > 0:
-        return np.concatenate([voltage[shift:], np.repeat(voltage[-1:], shift, axis=0)])
-    return np.concatenate([np.repeat(voltage[:1], -shift, axis=0), voltage[:shift]])
+        return np.concatenate([voltage[shift:], np.full((shift, 2), np.nan)])
+    return np.concatenate([np.full((-shift, 2), np.nan), voltage[:shift]])
