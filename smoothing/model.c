@@ -69,12 +69,15 @@ double fo_inverter_loss(const fo_model *m, const double p[FO_P])
 }
 
 /* Least inverter loss, as a share of its prior. */
-#define LEAST_LOSS 0.5
+#define LEAST_LOSS 0.1
 
 double fo_inverter_error(const fo_model *m, const double p[FO_P])
 {
-    const double loss = fo_inverter_loss(m, p), least = LEAST_LOSS * m->std[FO_P_inverter_hard];
-    return m->voltage_error * (loss > least ? loss : least);
+    /* Behind the hard knee and behind the soft one: with opposite signs, the loss at large currents
+     * may vanish, and a voltage error of zero would make wrong parameters certain. */
+    const double small = fabs(m->inverter_voltage + p[FO_P_inverter_hard]),
+                 large = fo_inverter_loss(m, p), least = LEAST_LOSS * m->std[FO_P_inverter_hard];
+    return m->voltage_error * fmax(fmax(small, large), least);
 }
 
 /* tanh differs from 1 by 3e-8 here. */

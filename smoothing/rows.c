@@ -48,7 +48,6 @@ typedef struct {
     vec mean;                       /* of the current over the interval that ends here [A] */
     vec middle;                     /* between the currents at both ends [A] */
     vec voltage, around;            /* of the interval; mean of it and the next [V] */
-    vec late;                       /* change of the flux by a lag of a second [V] */
     vec bend;                       /* of the inverter's loss at inverter_curve = 1 [V] */
     fo_sign hard, soft;
     vec volt_seconds;               /* gained in the interval [V s] */
@@ -74,34 +73,6 @@ static vec voltage_at(const fo_record *r, size_t row)
     return isnan(v.re) || isnan(v.im) ? vec_of(0.0, 0.0) : v;
 }
 
-/* Voltage around a row, predicted from the rows before its block.
- *
- * A current controller returns the noise of the measured currents in the voltages behind them. If
- * voltages of the block itself were the regressor of the lag, the noise of its currents would be
- * correlated with them, and the lag that cancels noise would be learnt. An injected voltage is
- * larger than that noise and cannot be predicted. */
-static vec predicted_voltage(const fo_work *w, size_t row, vec around)
-{
-    const size_t m = w->per_block, begin = row - row % m;
-    if (w->measurements > FO_DIRECTION || begin < m) return around;
-    const double turn = w->speed[row] * w->model->sample_time;
-    const vec step = vec_of(cos(turn), sin(turn));
-    vec sum = vec_of(0.0, 0.0);
-    double count = 0.0;
-    for (size_t k = begin - m; k < begin; k++) { /* Horner's rule: each step turns the sum */
-        const vec v = w->record.voltage[k];
-        const bool known = isfinite(v.re) && isfinite(v.im);
-        sum = product(step, sum);
-        if (known) {
-            sum = plus(sum, v);
-            count += 1.0;
-        }
-    }
-    if (!(count > 0.0)) return around;
-    const double ahead = turn * ((double)(row - begin) + 1.5);
-    return times(1.0 / count, product(vec_of(cos(ahead), sin(ahead)), sum));
-}
-
 static void interval_at(const fo_work *w, const double p[FO_P], size_t row, interval *at)
 {
     const fo_model *m = w->model;
@@ -113,7 +84,6 @@ static void interval_at(const fo_work *w, const double p[FO_P], size_t row, inte
     const vec mean = times(1.0 / 24.0, minus(times(13.0, plus(here, before)), outer));
     at->voltage = voltage_at(r, row == 0 ? 1 : row);
     at->around = times(0.5, plus(at->voltage, voltage_at(r, row + 1 < r->rows ? row + 1 : row)));
-    at->late = predicted_voltage(w, row, at->around);
     at->conjugate_current = conjugate(here);
     /* The products of the phases' currents and voltages, as a vector. */
     at->by_duty = times(1.0 / m->voltage, conjugate(product(here, at->around)));
@@ -222,7 +192,7 @@ void fo_integrate(fo_work *w, const double p[FO_P], vec *volt_seconds, vec *curr
         interval_at(w, p, k, &at);
         sum = plus(sum, at.volt_seconds);
         volt_seconds[k] = minus(
-            sum, times(m->sample_time * (p[FO_P_lag] + p[FO_P_delay]), at.late));
+            sum, times(m->sample_time * (p[FO_P_lag] + p[FO_P_delay]), at.around));
         current[k] = at.current;
         if (cage) {
             rotor_step(&c, p, dot(at.current, direction_of(w->angle[k])));
@@ -475,7 +445,7 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
         }
         flux = plus(flux, at.volt_seconds);
         const vec correction = interpolate_vector(w->correction, place);
-        const vec lambda = plus(minus(flux, times(h * lag, at.late)), correction);
+        const vec lambda = plus(minus(flux, times(h * lag, at.around)), correction);
         const double speed = w->speed[k];
         const vec i = minus(at.current, times(speed * p[FO_P_iron_loss], turned(lambda)));
         double psi = steady_psi(m, p);
@@ -497,7 +467,7 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
         if (k > 0 && w->columns > 0)
             for (int n = 0; n < SUMMED; n++)
                 total[summed[n]] = plus(total[summed[n]], volts[summed[n]]);
-        total[FO_P_lag] = total[FO_P_delay] = times(-h, at.late);
+        total[FO_P_lag] = total[FO_P_delay] = times(-h, at.around);
         const vec along = product(f.along, direction); /* in stator coordinates */
         const vec athwart = turned(f.along), beside = turned(along);
         const double over = 1.0 / f.size, d = dot(f.by_d, f.along), q = dot(f.by_q, f.along),

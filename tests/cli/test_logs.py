@@ -190,7 +190,7 @@ def test_machine_new(folder):
         folder=folder,
     )
     assert done.returncode == 0, done.stderr
-    assert "K_t is assumed to be rms" in done.stdout
+    assert "K_t counts as rms" in done.stdout
     estimated = fluxobs(
         *("estimate", "log.csv", "--machine", "new.toml", "--out", "e.parquet"), folder=folder
     )

@@ -663,21 +663,10 @@ class WholeLog:
         voltage, std = inverter_loss(record.model, record.assumed)
         estimates = smoothed_estimate(record, voltage, std, self.calibration)
         self._add_budget(rows, record, estimates, first, last)
-        doubtful = record.outputs["doubtful"] > 0
-        doubtful = (doubtful & ~self._beyond(len(doubtful), record.model.rows_per_block))[
-            first:last
-        ]
+        doubtful = record.outputs["doubtful"][first:last] > 0
         self.budget.add_stretches(rows.samples.t[first:last], doubtful)
         marked = replace(rows, samples=rows.samples._replace(marks=record.marks))
         return self._columns(marked, estimates, first, last)
-
-    def _beyond(self, rows: int, block: int) -> NDArray[np.bool_]:
-        """Return the rows of blocks whose voltages lie before the log or behind it."""
-        lag = self.run.log.layout.lag + self.best.shift
-        count, at = block * int(np.ceil((abs(lag) + 1) / block)), np.arange(rows)
-        if lag == 0:
-            return np.zeros(rows, bool)
-        return np.asarray(at < count if lag < 0 else at >= rows - count - block)
 
     def _learn_window(
         self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]

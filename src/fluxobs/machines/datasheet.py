@@ -63,7 +63,7 @@ def _take_choice(
     choice = fields.pop(name, None)
     if choice is None:
         choice = _DEFAULTS[name]
-        note(f"{name.removesuffix('_of')} is assumed to be {choice} ({name})")
+        note(f"{name.removesuffix('_of')} counts as {choice} ({name} = '{choice}')")
     if choice not in choices:
         raise ValueError(f"{name}: {choice!r}{nearest(str(choice), choices)}")
     return str(choice)

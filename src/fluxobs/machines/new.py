@@ -18,11 +18,22 @@ from .rotating import RotatingMachine, rotating
 
 @dataclass(frozen=True)
 class NewMachine:
-    """A machine, the first lines of its file, and the assumptions made for it."""
+    """A machine, the first lines of its file, and how its parameters follow from the fields.
+
+    Attributes
+    ----------
+    machine : RotatingMachine
+    head : tuple of str
+    assumed : tuple of str
+        Assumptions.
+    computed : dict
+        Parameters that were not given themselves, with their values in SI.
+    """
 
     machine: RotatingMachine
     head: tuple[str, ...]
     assumed: tuple[str, ...]
+    computed: dict[str, float]
 
     @property
     def text(self) -> str:
@@ -67,6 +78,11 @@ def new_machine(kind: str, fields: Mapping[str, Any]) -> NewMachine:
         )
     names = [*KINDS[kind].parameter_names(), *FIELDS, "plate", "R_r", "L_ls", "L_lr", "L_m"]
     for name in values:
+        if name in ("R", "L"):
+            raise MachineError(
+                f"{name} is measured between two terminals or of a phase? Give {name}_line="
+                f"{values[name]} or {name}_phase={values[name]}; most datasheets state {name}_line"
+            )
         if name not in names:
             raise MachineError(f"unknown field {name!r}{nearest(name, names)}")
     _check_inductance(kind, values)
@@ -76,7 +92,12 @@ def new_machine(kind: str, fields: Mapping[str, Any]) -> NewMachine:
         assumed.append("rated_current is not given: each log determines it, but an export needs it")
     source = ", ".join(f"{name} = {value}" for name, value in fields.items())
     head = (f"Written by `fluxobs machine new` from {source}.", *assumed)
-    return NewMachine(machine, head, tuple(assumed))
+    computed = {
+        name: float(value)
+        for name, value in machine.parameters().items()
+        if name not in fields and isinstance(value, int | float)
+    }
+    return NewMachine(machine, head, tuple(assumed), computed)
 
 
 def _check_inductance(kind: str, values: Mapping[str, Any]) -> None:

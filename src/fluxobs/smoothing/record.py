@@ -338,6 +338,8 @@ def smooth_record(
         float(about[3]),
     )
     outputs = {name: columns[n] for n, name in enumerate(OUTPUTS)}
+    beyond = _beyond_the_ends(samples.voltage, model.rows_per_block)
+    outputs["doubtful"] = np.where(beyond, 0.0, outputs["doubtful"])  # unknown, not contradictory
     converged = bool(np.isfinite(outputs["theta_e"]).all())
     prior = sum((learnt.deviations[name] / model.stds[name]) ** 2 for name in model.active) / 2
     blocks = len(samples.voltage) // model.rows_per_block
@@ -349,10 +351,27 @@ def smooth_record(
         Cost(innovations if converged else np.inf, prior, max(float(about[1]), 0.0)),
         float(about[4]) > 0,
         outputs,
-        known > 0,
+        (known > 0) & ~beyond,
         samples.marks,
         np.asarray(shares),
     )
+
+
+def _beyond_the_ends(voltage: Array, block: int) -> NDArray[np.bool_]:
+    """Return the rows of blocks at the ends whose voltages the log does not contain.
+
+    No interval ends at the first row; blocks have `block` rows, counted from the first.
+    """
+    good = np.flatnonzero(np.isfinite(voltage).all(axis=1))
+    good = good[good > 0]
+    if not len(good):
+        return np.zeros(len(voltage), bool)
+    first, last = int(good[0]), int(good[-1])
+    half = block // 2  # between the middles of two blocks, a row depends on both
+    begin = -(-first // block) * block + half if first > 1 else 0
+    end = (last + 1) // block * block - half if last + 1 < len(voltage) else len(voltage)
+    at = np.arange(len(voltage))
+    return np.asarray((at < begin) | (at >= end))
 
 
 def learn_record(model: SmoothingModel, samples: RecordSamples, start: Assumed) -> SmoothedRecord:

@@ -71,14 +71,16 @@ def new(
 ) -> None:
     """Write a machine file from the values of a datasheet or rating plate.
 
-    Prints what it assumed. On a terminal, asks for missing values.
+    Prints what it computed and assumed. On a terminal, asks for missing values.
 
     Example: fluxobs machine new --out motor.toml --kind surface-pmsm --poles 14 --set kv=900
     R_line=0.11 L_line=28e-6 rated_current_rms=20
     """
+    from ...machines.contract import unit_of
     from ...machines.new import new_machine
     from ...machines.registry import KINDS
     from ...machines.saving import check_machine_file, write_machine
+    from ...presentation.summary import si
     from ..options import pairs
 
     check_machine_file(out, force)
@@ -98,6 +100,9 @@ def new(
     result = new_machine(kind, fields)
     write_machine(out, result.machine, result.head, {}, force)
     typer.echo(result.text, nl=False)
+    if result.computed:
+        values = [f"{name} = {si(value, unit_of(name))}" for name, value in result.computed.items()]
+        show.echo(f"Computed: {', '.join(value.strip() for value in values)}.")
     for assumption in [
         *(["kind is surface-pmsm (--kind)"] if kind_is_assumed else []),
         *result.assumed,
