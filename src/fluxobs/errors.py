@@ -56,7 +56,7 @@ _ARGUMENTS = {"column": "columns", "from": "start", "to": "stop"}
 _FLAG = re.compile(
     r"--([a-z][a-z-]+)"
     r"(?: ([-+]?\d[\d.e+-]*(?=[\s,;)]|$)|alphabeta|abc|line|duty|dq|ports|auto|time|index|none"
-    r"|drift[a-z,-]*|\w+=[^\s,;)]+(?: \w+=[^\s,;)]+)*))?"
+    r"|drift(?:,[a-z-]+)*|\w+=[^\s;)]*[^\s;),.](?: \w+=[^\s;)]*[^\s;),.])*))?"
 )
 
 

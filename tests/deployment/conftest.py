@@ -10,5 +10,5 @@ def folders(tmp_path_factory):
     exports = {}
     for name, machine in MACHINES.items():
         exports[name] = tmp_path_factory.mktemp("exports") / name
-        fluxobs.export(machine, 1e-4, exports[name])
+        fluxobs.export(machine, 1e-4, exports[name], unknowns="drift")
     return exports

@@ -103,9 +103,11 @@ def test_metadata_for_arduino_and_platformio(library):
 
 def test_steps_every_few_interrupts_are_refused(tmp_path):
     with pytest.raises(FluxobsError, match="update_every 4"):
-        fluxobs.export("servo-400w", 5e-5, tmp_path / "x", update_every=4, form="arduino")
+        fluxobs.export(
+            "servo-400w", 5e-5, tmp_path / "x", update_every=4, form="arduino", unknowns="drift"
+        )
     with pytest.raises(FluxobsError, match="choose one of c, arduino"):
-        fluxobs.export("servo-400w", 5e-5, tmp_path / "x", form="sketch")
+        fluxobs.export("servo-400w", 5e-5, tmp_path / "x", form="sketch", unknowns="drift")
 
 
 @pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="no cross compiler: avr-gcc")

@@ -29,7 +29,7 @@ def test_standard_deviations_reach_the_firmware(tmp_path):
 
 def test_the_same_call_writes_the_same_bytes(tmp_path):
     for name in ("a", "b"):
-        fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / name)
+        fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / name, unknowns="drift")
     files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*.*"))
     assert len(files) == 31  # and LICENSE, Makefile
     for path in files:
@@ -39,8 +39,8 @@ def test_the_same_call_writes_the_same_bytes(tmp_path):
 
 def test_content_changes_with_the_settings(tmp_path):
     machine = MACHINES["servo-400w"]
-    first = fluxobs.export(machine, 1e-4, tmp_path / "a")
-    other = fluxobs.export(machine, 1e-4, tmp_path / "b", memory=0.05)
+    first = fluxobs.export(machine, 1e-4, tmp_path / "a", unknowns="drift")
+    other = fluxobs.export(machine, 1e-4, tmp_path / "b", memory=0.05, unknowns="drift")
     assert first.content != other.content
     assert first.content in (tmp_path / "a" / "motor_observer.h").read_text()
     assert first.observer.memory == 0.03

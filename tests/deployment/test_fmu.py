@@ -196,7 +196,7 @@ def test_a_state_of_another_machine_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(build, "has_zig", lambda: False)
     monkeypatch.setattr(build, "compared", lambda files, command: [])
     for name in ("servo-400w", "pmsm-2kw2"):
-        fluxobs.export(name, STEP, tmp_path / name, form="fmu")
+        fluxobs.export(name, STEP, tmp_path / name, form="fmu", unknowns="drift")
     for version in (2, 3):
         mine, other = (
             Instance(tmp_path / name / f"motor.fmi{version}.fmu")
@@ -259,7 +259,7 @@ def test_a_simulation(units, version):
 def test_binaries_for_other_systems(tmp_path):
     pytest.importorskip("ziglang")
     for name in ("a", "b"):
-        fluxobs.export("servo-400w", STEP, tmp_path / name, form="fmu")
+        fluxobs.export("servo-400w", STEP, tmp_path / name, form="fmu", unknowns="drift")
     unit = (tmp_path / "a" / "motor.fmi3.fmu").read_bytes()
     assert unit == (tmp_path / "b" / "motor.fmi3.fmu").read_bytes()
     with zipfile.ZipFile(io.BytesIO(unit)) as archive:
@@ -279,5 +279,5 @@ def test_a_missing_compiler_is_reported_before_anything_is_written(tmp_path, mon
     monkeypatch.setattr(build, "has_zig", lambda: False)
     monkeypatch.setattr(build, "local_compiler", lambda: None)
     with pytest.raises(FluxobsError, match="no C compiler"):
-        fluxobs.export("servo-400w", STEP, tmp_path / "motor", form="fmu")
+        fluxobs.export("servo-400w", STEP, tmp_path / "motor", form="fmu", unknowns="drift")
     assert not (tmp_path / "motor").exists()

@@ -34,7 +34,9 @@ MAPPED = fluxobs.SynchronousReluctance(
     [COMPILERS[0], pytest.param(COMPILERS[1].values[0], id="clang", marks=pytest.mark.slow)],
 )
 def test_make_test_in_the_folder(tmp_path, compiler):
-    fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "servo", prefix="servo")
+    fluxobs.export(
+        MACHINES["servo-400w"], 1e-4, tmp_path / "servo", prefix="servo", unknowns="drift"
+    )
     done = make_test(tmp_path / "servo", f"CC={' '.join(compiler)}")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "single: 171 of 171 rows as expected" in done.stdout
@@ -95,7 +97,7 @@ def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
     ],
 )
 def test_a_change_of_the_observer_is_detected(tmp_path, code, changed):
-    fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "motor", memory=0.01)
+    fluxobs.export(MACHINES["servo-400w"], 1e-4, tmp_path / "motor", memory=0.01, unknowns="drift")
     sources = (tmp_path / "motor").glob("fluxobs*")
     (source,) = (path for path in sources if path.read_text().count(code) == 1)
     source.write_text(source.read_text().replace(code, changed))
@@ -107,7 +109,9 @@ def test_a_change_of_the_observer_is_detected(tmp_path, code, changed):
 @pytest.mark.slow
 @pytest.mark.parametrize("every", [2, 5])
 def test_make_test_where_volt_seconds_are_gathered(tmp_path, every):
-    fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "motor", update_every=every)
+    fluxobs.export(
+        MACHINES["servo-400w"], 5e-5, tmp_path / "motor", update_every=every, unknowns="drift"
+    )
     done = make_test(tmp_path / "motor")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "fo_gather" in (tmp_path / "motor" / "README.md").read_text()
@@ -199,7 +203,7 @@ def test_precisions_do_not_mix(tmp_path, folders):
 
 def test_two_machines_in_one_firmware(tmp_path):
     for prefix, name in (("pump", "ipm-2kw2"), ("fan", "servo-400w")):
-        fluxobs.export(MACHINES[name], 1e-4, tmp_path / prefix, prefix=prefix)
+        fluxobs.export(MACHINES[name], 1e-4, tmp_path / prefix, prefix=prefix, unknowns="drift")
     main = tmp_path / "main.c"
     main.write_text(
         '#include "fan_observer.h"\n#include "pump_observer.h"\n'
@@ -260,27 +264,31 @@ def test_fast_math_is_refused(folders, tmp_path):
 
 def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
     machine = MACHINES["servo-400w"]
-    fluxobs.export(machine, 1e-4, tmp_path / "motor")
+    fluxobs.export(machine, 1e-4, tmp_path / "motor", unknowns="drift")
     (tmp_path / "motor" / "notes.txt").write_text("mine")
-    with pytest.raises(FluxobsError, match="--force"):
-        fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05)
-    second = fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05, force=True)
+    with pytest.raises(FluxobsError, match="force"):
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.05, unknowns="drift")
+    second = fluxobs.export(
+        machine, 1e-4, tmp_path / "motor", memory=0.05, force=True, unknowns="drift"
+    )
     assert second.content in (tmp_path / "motor" / "motor_observer.h").read_text()
     assert (tmp_path / "motor" / "notes.txt").read_text() == "mine"
 
-    fluxobs.export(machine, 1e-4, tmp_path / "motor", prefix="pump", force=True)
+    fluxobs.export(machine, 1e-4, tmp_path / "motor", prefix="pump", force=True, unknowns="drift")
     assert not (tmp_path / "motor" / "motor_observer.h").exists()
     assert make_test(tmp_path / "motor").returncode == 0
 
     example = tmp_path / "motor" / "example_isr.c"
     example.write_text(example.read_text() + "/* mine */\n")
     with pytest.raises(FluxobsError, match=r"example_isr\.c: changed since"):
-        fluxobs.export(machine, 1e-4, tmp_path / "motor", force=True)
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", force=True, unknowns="drift")
     assert "mine" in example.read_text()
     example.unlink()
     (tmp_path / "motor" / "axis_observer.h").write_text("mine")
     with pytest.raises(FluxobsError, match=r"axis_observer\.h: is not part"):
-        fluxobs.export(machine, 1e-4, tmp_path / "motor", prefix="axis", force=True)
+        fluxobs.export(
+            machine, 1e-4, tmp_path / "motor", prefix="axis", force=True, unknowns="drift"
+        )
     assert (tmp_path / "motor" / "pump_observer.h").exists()
 
     victim = tmp_path / "victim"
@@ -291,7 +299,7 @@ def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
     manifest.write_text(f"{listing}{digest}  ../victim\n")
     (tmp_path / "motor" / "axis_observer.h").unlink()
     with pytest.raises(FluxobsError, match="not a path within the folder"):
-        fluxobs.export(machine, 1e-4, tmp_path / "motor", force=True)
+        fluxobs.export(machine, 1e-4, tmp_path / "motor", force=True, unknowns="drift")
     assert victim.read_text() == "mine"
     manifest.write_text(listing)
 
@@ -307,23 +315,25 @@ def test_nothing_is_overwritten_unasked(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("os.replace", full)
         with pytest.raises(FluxobsError, match="No space left"):
-            fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.02, force=True)
-    fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.02, force=True)
+            fluxobs.export(
+                machine, 1e-4, tmp_path / "motor", memory=0.02, force=True, unknowns="drift"
+            )
+    fluxobs.export(machine, 1e-4, tmp_path / "motor", memory=0.02, force=True, unknowns="drift")
     assert make_test(tmp_path / "motor").returncode == 0
 
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "fluxobs.h").write_text("vendored")
     with pytest.raises(FluxobsError, match="is not an earlier export"):
-        fluxobs.export(machine, 1e-4, tmp_path / "home", force=True)
+        fluxobs.export(machine, 1e-4, tmp_path / "home", force=True, unknowns="drift")
     assert (tmp_path / "home" / "fluxobs.h").read_text() == "vendored"
 
     (tmp_path / "file").write_text("mine")
     with pytest.raises(FluxobsError, match="is not a folder"):
-        fluxobs.export(machine, 1e-4, tmp_path / "file", force=True)
+        fluxobs.export(machine, 1e-4, tmp_path / "file", force=True, unknowns="drift")
     with pytest.raises(FluxobsError, match="cannot be written"):
-        fluxobs.export(machine, 1e-4, tmp_path / "file" / "motor")
+        fluxobs.export(machine, 1e-4, tmp_path / "file" / "motor", unknowns="drift")
     (tmp_path / "empty").mkdir()
-    fluxobs.export(machine, 1e-4, tmp_path / "empty")
+    fluxobs.export(machine, 1e-4, tmp_path / "empty", unknowns="drift")
     assert make_test(tmp_path / "empty").returncode == 0
 
 
@@ -333,7 +343,7 @@ def test_a_listing_that_is_a_link_is_not_followed(tmp_path, force):
     victim.write_text("")
     (tmp_path / "motor").mkdir()
     (tmp_path / "motor" / "MANIFEST").symlink_to("../victim")
-    with pytest.raises(FluxobsError, match="MANIFEST: is a link" if force else "--force"):
+    with pytest.raises(FluxobsError, match="MANIFEST: is a link" if force else "force"):
         write(tmp_path / "motor", {"a": "1"}, force)
     assert victim.read_text() == ""
 
@@ -377,7 +387,7 @@ def test_remains_of_a_killed_export_are_removed_by_the_next(tmp_path):
     assert done.returncode == 9
     assert not (tmp_path / "motor").exists()
     assert list(tmp_path.iterdir())
-    fluxobs.export("servo-400w", 1e-4, tmp_path / "motor")
+    fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", unknowns="drift")
     assert [path.name for path in tmp_path.iterdir()] == ["motor"]
 
 
@@ -386,8 +396,8 @@ def test_two_concurrent_exports_into_one_folder_are_refused(tmp_path):
     victim.mkdir()
     (tmp_path / ".motor.unfinished").symlink_to("victim")
     with claimed(tmp_path / "motor"), pytest.raises(FluxobsError, match="another run is writing"):
-        fluxobs.export("servo-400w", 1e-4, tmp_path / "motor")
-    fluxobs.export("servo-400w", 1e-4, tmp_path / "motor")
+        fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", unknowns="drift")
+    fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", unknowns="drift")
     assert not list(victim.iterdir())
 
 

@@ -67,7 +67,12 @@ def exported(tmp_path_factory):
                 "priors": {"resistance": 0.02, "inverter": 0.05},
             }
             machine = MACHINES["servo-400w"]
-            fluxobs.export(machine, sample_time, folders[key], **(options if adaptive else {}))
+            fluxobs.export(
+                machine,
+                sample_time,
+                folders[key],
+                **(options if adaptive else {"unknowns": "drift"}),
+            )
         return folders[key]
 
     return folder

@@ -63,7 +63,7 @@ def test_the_library_s_own_prefixes_are_refused(tmp_path, prefix):
 )
 def test_reserved_names_are_refused(tmp_path, prefix, reason):
     with pytest.raises(FluxobsError, match=f"^prefix '{prefix}' cannot begin .* {reason}") as error:
-        fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", prefix=prefix)
+        fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", prefix=prefix, unknowns="drift")
     assert not (tmp_path / "motor").exists()
     nearest = str(error.value).split("'")[-2]
     check_prefix(nearest)
@@ -76,7 +76,9 @@ def test_names_that_resemble_reserved_ones_are_accepted(prefix):
 
 def test_the_proposed_prefix_is_accepted(tmp_path):
     with pytest.raises(FluxobsError, match="use 'motor'"):
-        fluxobs.export("servo-400w", 1e-4, tmp_path / "motor", prefix="fluxobs-axis")
+        fluxobs.export(
+            "servo-400w", 1e-4, tmp_path / "motor", prefix="fluxobs-axis", unknowns="drift"
+        )
 
 
 def test_two_files_with_the_same_name_are_refused():

@@ -30,7 +30,10 @@ ADAPTIVE = ("drift", "resistance", "inverter")
         ({"unknowns": ("resistance",)}, ["without the drift", "drift,resistance"]),
         ({"unknowns": ADAPTIVE, "priors": {"resistance": 1e6}}, ["resistance_std", "SI units"]),
         ({"unknowns": ADAPTIVE, "priors": {"R": 1.0}}, ["'R'", "resistance"]),
-        ({"priors": {"psi_f": 0.001}}, ["requires resistance or inverter", "among the unknowns"]),
+        (
+            {"unknowns": "drift", "priors": {"psi_f": 0.001}},
+            ["requires resistance or inverter", "among the unknowns"],
+        ),
         ({"unknowns": ("drft",)}, ["unknown 'drft'", "did you mean 'drift'"]),
         ({"unknowns": ()}, ["drift suffices"]),
         ({"current_noise": 0.0}, ["current_noise must be positive"]),
@@ -50,16 +53,18 @@ def test_messages_give_the_nearest_valid_setting(tmp_path, options, fragments):
 
 def test_machines_that_cannot_be_exported(tmp_path):
     with pytest.raises(FluxobsError, match="machines that turn"):
-        fluxobs.export(fluxobs.read_machine("maglev-knospe"), 1e-4, tmp_path / "x")
+        fluxobs.export(
+            fluxobs.read_machine("maglev-knospe"), 1e-4, tmp_path / "x", unknowns="drift"
+        )
     bare = MACHINES["servo-400w"].model_copy(update={"psi_f": None, "rated_current": None})
     with pytest.raises(FluxobsError, match="lacks psi_f and rated_current"):
-        fluxobs.export(bare, 1e-4, tmp_path / "x")
+        fluxobs.export(bare, 1e-4, tmp_path / "x", unknowns="drift")
     wrong = MACHINES["servo-400w"].model_copy(update={"psi_f": 1e-9})
     with pytest.raises(FluxobsError, match="units"):
-        fluxobs.export(wrong, 1e-4, tmp_path / "x")
+        fluxobs.export(wrong, 1e-4, tmp_path / "x", unknowns="drift")
     synrm = fluxobs.read_machine("synrm-6kw7")
     with pytest.raises(FluxobsError, match="estimate the drift"):
         fluxobs.export(synrm, 1e-4, tmp_path / "x", unknowns=("drift", "current-bias"))
     dropping = MACHINES["servo-400w"].model_copy(update={"inverter_voltage": 0.5})
     with pytest.raises(FluxobsError, match="with unknowns drift,inverter"):
-        fluxobs.export(dropping, 1e-4, tmp_path / "x")
+        fluxobs.export(dropping, 1e-4, tmp_path / "x", unknowns="drift")

@@ -137,7 +137,7 @@ def test_the_example_interrupt_follows_a_drive(tmp_path, every):
     """The exported example runs in a drive whose commands act from the next interrupt on."""
     machine, h, rows = MACHINES["servo-400w"], 5e-5, 8000
     folder = tmp_path / "motor"
-    fluxobs.export(machine, h, folder, update_every=every)
+    fluxobs.export(machine, h, folder, update_every=every, unknowns="drift")
     data = steady(machine, h, 700.0, rows, noise=0.02)
     alpha, beta = data.current.T
     abc = np.stack([alpha, -alpha / 2 + beta * np.sqrt(0.75), -alpha / 2 - beta * np.sqrt(0.75)])

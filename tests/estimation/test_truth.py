@@ -200,7 +200,7 @@ def test_infinite_angles_are_ignored():
 
 def test_sine_and_cosine_without_values():
     columns = {"s": np.full(len(THETA), np.nan), "c": np.ones(len(THETA))}
-    with pytest.raises(fluxobs.RecordError, match="'s' of --truth sincos=s,c holds"):
+    with pytest.raises(fluxobs.RecordError, match=r"'s' of truth={'sincos': 's,c'} holds"):
         fitted("sincos", columns)
 
 

@@ -18,7 +18,7 @@ LIMITS = {"MOST_WRONG": 60, "MOST_LATE": 1500, "L_S": SERVO.L_s, "R_S": SERVO.R_
 @pytest.mark.parametrize("single", [0, 1])
 def test_overwritten_memory(tmp_path, single):
     folder = tmp_path / "motor"
-    fluxobs.export(SERVO, 1e-4, folder)
+    fluxobs.export(SERVO, 1e-4, folder, unknowns="drift")
     values = [f"-D{name}={value}" for name, value in LIMITS.items()]
     command = ["gcc", "-std=c99", "-O1", f"-DFO_SINGLE={single}", *values]
     command += [f"-I{folder}", f"-I{folder}/test", HARNESS / "damage.c", *folder.glob("*obs*.c")]

@@ -99,7 +99,7 @@ def test_a_malformed_header_is_refused(second, message):
 
 @pytest.mark.slow
 def test_the_telemetry_of_an_export_is_read(tmp_path):
-    fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "motor")
+    fluxobs.export(MACHINES["servo-400w"], 5e-5, tmp_path / "motor", unknowns="drift")
     main = tmp_path / "main.c"
     main.write_text("""
         #include <stdio.h>

@@ -30,9 +30,7 @@ def test_two_recordings_do_not_share_a_file(tmp_path, force):
     with Recorder(path, force=force) as first:
         first.add(b"first\n")
         message = (
-            "another run records into this file"
-            if force
-            else "exists; give another name, or --force"
+            "another run records into this file" if force else "exists; give another name, or force"
         )
         with pytest.raises(FluxobsError, match=f"run.csv: {message}"):
             record(path, force=force)

@@ -113,7 +113,7 @@ def test_a_recording_is_a_log(watch, tmp_path):
     ("data", "options", "message"),
     [
         (DEMO.replace(b"u_alpha", b"foo", 1), {}, "u_alpha"),
-        (b"\n".join(line.split(b",", 1)[1] for line in DEMO.splitlines()), {}, "--sample-time"),
+        (b"\n".join(line.split(b",", 1)[1] for line in DEMO.splitlines()), {}, "sample_time"),
         (DEMO, {"unknowns": "speed"}, "unknown"),
         (DEMO, {"memory": 1e-5}, "memory"),
         (DEMO, {"memory": np.nan}, "memory must be a positive"),

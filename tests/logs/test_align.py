@@ -223,7 +223,7 @@ def test_a_doubt_needs_a_clear_correlation(share, doubted):
 def test_files_without_a_common_changing_signal():
     sides = side("one", {"i_a": np.ones(100)}), side("two", {"i_a": WAVE[:100]})
     assert doubt_of_time(*sides) is None
-    with pytest.raises(RecordError, match="two: --align auto finds no signal that changes"):
+    with pytest.raises(RecordError, match="two: align='auto' finds no signal that changes"):
         aligned_by_content(*sides)
 
 

@@ -236,5 +236,5 @@ def test_a_given_sample_time_is_confirmed_by_the_mean_or_by_the_usual_step():
     assert log_at(rounded, sample_time=4e-4).sample_time == pytest.approx(4e-4)
     for stamps in (gap, rounded):
         for wrong in (8e-4, 2e-4):
-            with pytest.raises(RecordError, match=f"but --sample-time is {wrong:g} s"):
+            with pytest.raises(RecordError, match=f"but sample_time is {wrong:g} s"):
                 log_at(stamps, sample_time=wrong)

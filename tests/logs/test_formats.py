@@ -236,7 +236,7 @@ def test_matrices_have_numbered_columns(tmp_path):
     (rows,) = log.aligned()
     assert rows.current.shape == (ROWS, 2)
     np.save(tmp_path / "log.npy", matrix)
-    with pytest.raises(RecordError, match=r'give them with --header "t,u_a'):
+    with pytest.raises(RecordError, match=r'give them with header "t,u_a'):
         read_log(tmp_path / "log.npy")
     assert len(read_log(tmp_path / "log.npy", header=",".join(names))) == ROWS
     with pytest.raises(RecordError, match="2 names for 6 columns"):

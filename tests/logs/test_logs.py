@@ -296,7 +296,7 @@ def test_selection_in_time(tmp_path):
     assert (log.first, log.last) == (50, 101)
     assert t[0] == pytest.approx(5.05)
     np.testing.assert_array_equal(i, I[50:101])
-    with pytest.raises(RecordError, match=r"between --from and --to.*runs from 5 s to 5.199 s"):
+    with pytest.raises(RecordError, match=r"between start and stop.*runs from 5 s to 5.199 s"):
         read(tmp_path / "log.npz", start=7.0)
 
 
@@ -473,7 +473,7 @@ def test_arrays_of_different_length(tmp_path):
 
 def test_sample_time(tmp_path):
     path = csv(tmp_path / "log.csv", PLAIN)
-    with pytest.raises(RecordError, match=r"t advances by 0.001 s a row.*--sample-time is 0.002"):
+    with pytest.raises(RecordError, match=r"t advances by 0.001 s a row.*sample_time is 0.002"):
         read(path, sample_time=2e-3)
     assert read(path, sample_time=1e-3 * (1 + 5e-4))[0].sample_time == 1e-3 * (1 + 5e-4)
     bare = csv(tmp_path / "bare.csv", {k: v for k, v in PLAIN.items() if k != "t"})

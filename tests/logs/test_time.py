@@ -332,7 +332,7 @@ def test_joined_row_by_row(tmp_path):
     pl.DataFrame({"t": T, "i_alpha": i.real, "i_beta": i.imag}).write_csv(tmp_path / "i.csv")
     pl.DataFrame({"t": 50 + T, "u_alpha": u.real, "u_beta": u.imag}).write_csv(tmp_path / "u.csv")
     join = [str(tmp_path / "u.csv")]
-    with pytest.raises(RecordError, match=r"runs from 50 s.*--align auto"):
+    with pytest.raises(RecordError, match=r"runs from 50 s.*align='auto'"):
         read_log(tmp_path / "i.csv", join=join)
     _, _, voltage = rows_of(read_log(tmp_path / "i.csv", join=join, align="index"))
     np.testing.assert_allclose(voltage[1:, 0], u.real[:-1], atol=1e-9)

@@ -24,6 +24,8 @@ UNUSUAL_LAGS, UNUSUAL_COST = (-2, 1), float(np.log(2))
 #: drives with every error at once, the wrong lag has more than 0.95 of the weight on 9 %, where
 #: the other assumptions replace the lag (benchmarks/whole_log.py --unknown-lag).
 UNDECIDED = 0.05
+#: Least probability of a lag that texts name.
+LEAST_SHARE = 0.01
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,20 @@ class LagDecision:
     def decided(self) -> bool:
         """Whether the log decides."""
         return self.weights[self.lag] > 1 - UNDECIDED
+
+    @property
+    def alternatives(self) -> str:
+        """The lags that are possible, with their probabilities, as text."""
+        return " or ".join(
+            f"{signed(lag)} ({share:.0%})"
+            for lag, share in self.weights.items()
+            if share > LEAST_SHARE
+        )
+
+
+def signed(lag: float) -> str:
+    """Return a lag as text."""
+    return f"{lag:+g}" if lag else "0"
 
 
 def shifted(voltage: Array, shift: int) -> Array:

@@ -155,8 +155,7 @@ def lag_item(result: Result) -> Item:
     value, std = lag
     if decision is not None:
         if not decision.decided:
-            weights = " or ".join(f"{lag:+g} ({w:.0%})" for lag, w in decision.weights.items())
-            return Item(name, "cannot be told", f"{weights} fit; {words}")
+            return Item(name, "cannot be told", f"{decision.alternatives} fit; {words}")
         return Item(name, "fine", f"learnt from the log: {decision.lag:+g}", value, std, "samples")
     given = result.log.layout.lag
     verdict = judge(value, std, LAG, given)

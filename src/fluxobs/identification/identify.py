@@ -290,8 +290,7 @@ def _learnt(
 def _why_not(result: Result, name: str) -> str:
     """Say why the log does not identify a parameter."""
     if name == "lag" and result.lag is not None and not result.lag.decided:
-        lags = " or ".join(f"{lag:+g} ({w:.0%})" for lag, w in result.lag.weights.items())
-        return f"{lags} fit"
+        return f"{result.lag.alternatives} fit"
     return "the log tells no more than the machine file and usual tolerances"
 
 

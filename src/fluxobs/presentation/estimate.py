@@ -80,8 +80,14 @@ def estimate(
     Returns
     -------
     Result
-        ``result["theta_e"]``, ``.estimates``, ``.summary``, ``.warnings``, ``.counts``,
-        ``.plot()``, ``.write(path)``.
+        A table with a row per row of the log; each column has shape (rows,) and most have their
+        standard deviation as a column ``_std``. Of a machine that turns: t [s]; theta_e, electrical
+        rotor angle [rad], -π to π; speed_e and speed_mech [rad/s]; flux_alpha, flux_beta and psi_f
+        [Wb]; torque [Nm]; drift_alpha, drift_beta and inverter_voltage [V]; resistance [Ω]; valid
+        [bool], whether theta_e_std can be trusted; quality [int], the marks of
+        :mod:`fluxobs.logs.quality.marks`; with a true angle also theta_e_error [rad].
+        ``result["theta_e"]`` is a column; ``.summary``, ``.warnings``, ``.plot()`` and
+        ``.write(path)`` show and store it.
 
     Raises
     ------

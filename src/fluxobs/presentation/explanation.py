@@ -93,7 +93,8 @@ class ExplainedRun(LogRun):
         plain = self.plain
         if plain is None or self.firmware is not None:
             return None
-        options = "" if self.adaptive is None else f" --unknowns {','.join(self.unknowns)}"
+        unknowns = "drift" if self.adaptive is None else ",".join(self.unknowns)
+        options = f" --unknowns {unknowns}"
         priors = dict(self.priors)
         if self.adaptive is not None and self.adaptive.inverter_std > 0:
             priors["inverter"] = self.adaptive.inverter_std  # its default depends on the log

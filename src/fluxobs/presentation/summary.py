@@ -7,6 +7,7 @@ import numpy as np
 from ..checking.findings import UNSEEN as UNSEEN_TURN
 from ..checking.findings import Check
 from ..estimation.columns import is_position
+from ..estimation.lag import signed
 from ..estimation.learning import UNSEEN, learning_segments, parameters
 from ..estimation.quality import times_of
 from ..estimation.run import LogRun
@@ -21,8 +22,8 @@ EVENTS = tuple(mark.name for mark in MARKS if not mark.fault)
 NAMED_MARKS = 3
 #: Contributions that the summary names.
 BUDGET_ITEMS = 3
-#: Least share of the rows of a reason that the summary names, and least weight of a lag.
-LEAST_SHARE, LEAST_LAG_SHARE = 0.001, 0.01
+#: Least share of the rows of a reason that the summary names.
+LEAST_SHARE = 0.001
 
 
 #: Factors and their SI prefixes.
@@ -160,39 +161,32 @@ def lag_effect(lag: float) -> str:
     return f"a voltage acts {amount} {'later' if lag < 0 else 'earlier'} than its row"
 
 
-def _signed(lag: float) -> str:
-    return f"{lag:+g}" if lag else "0"
-
-
 def _lag(result: LogRun) -> list[Row]:
     """Return the lag that was stated, learnt or assumed."""
     lag, decision = result.log.layout.lag, result.lag
     effect = lag_effect(lag)
     if decision is None:
         source = "stated" if result.log.layout.lag_stated else "assumed"
-        return [("lag", f"{_signed(lag)}, {source}: {effect}")]
+        return [("lag", f"{signed(lag)}, {source}: {effect}")]
     origin = "from the log"
     if result.log.true is not None and is_position(result.log, result.machine):
         origin = "from the log and its true angle"
     if decision.decided:
         weight = decision.weights[decision.lag]
-        text = f"{_signed(lag)}, learnt {origin} ({weight:.0%}): {effect}"
+        text = f"{signed(lag)}, learnt {origin} ({weight:.0%}): {effect}"
         if result.fractional_lag is not None:
             value, std = result.fractional_lag
             text += f"; best fit {value:+.2f} ± {std:.2f}"
         return [("lag", text)]
-    weights = " or ".join(
-        f"{_signed(lag)} ({share:.0%})"
-        for lag, share in decision.weights.items()
-        if share > LEAST_LAG_SHARE
-    )
     degrees = np.degrees(decision.position_difference)
     difference = (
         f"; the positions differ by {degrees:.2g}° rms, which σ includes"
         if np.isfinite(degrees)
         else ""
     )
-    return [("lag", f"not determined by the log: {weights}{difference}. State the lag")]
+    return [
+        ("lag", f"not determined by the log: {decision.alternatives}{difference}. State the lag")
+    ]
 
 
 def _unknowns(result: LogRun) -> list[Row]:

@@ -289,7 +289,7 @@ def measure_maps() -> bool:
     for name, machine in machines.items():
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch) / "motor"
-            fluxobs.export(machine, SAMPLE_TIME, folder)
+            fluxobs.export(machine, SAMPLE_TIME, folder, unknowns="drift")
             program, _ = compile_for(BUILDS[0], folder, "plain")
             means[name] = run(BUILDS[0], program).steps.mean()
     table, linear = means["table"] - means["linear"], means["linear"] - means["without"]
@@ -307,7 +307,7 @@ def measure_configuring() -> bool:
     failed = False
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "motor"
-        fluxobs.export(fluxobs.read_machine(MACHINE), SAMPLE_TIME, folder)
+        fluxobs.export(fluxobs.read_machine(MACHINE), SAMPLE_TIME, folder, unknowns="drift")
         sources = [folder / "fluxobs.c", folder / "runtime" / "fluxobs_config.c"]
         for build in (one for one in BUILDS if not one.fused):
             program, own = folder / "configure.elf", set[str]()

@@ -21,11 +21,11 @@ def export(
     unknowns: Annotated[
         str,
         typer.Option(
-            help="Unknowns to estimate: drift, or drift with some of resistance, inverter, "
-            "asymmetry (auto: all). With more unknowns than drift, exports the adaptive "
-            "observer, which starts within a fraction of a turn."
+            help="Unknowns to estimate: auto (all, as in `fluxobs estimate`), or drift with some "
+            "of resistance, inverter, asymmetry: the adaptive observer. drift alone: the plain "
+            "observer, which needs a third of the time and the right parameters."
         ),
-    ] = "drift",
+    ] = "auto",
     memory: Annotated[
         float | None,
         typer.Option(
