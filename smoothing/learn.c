@@ -250,7 +250,8 @@ static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_sm
                              double usual_speed, normal *n)
 {
     const size_t P = w->columns;
-    double square = 0.0, product = 0.0, last = 0.0, regressor_d = 0.0, regressor_q = 0.0;
+    double square = 0.0, product = 0.0, last = 0.0, regressor_d = 0.0, regressor_q = 0.0,
+           feedback = 0.0;
     size_t count = 0;
     memset(n->information, 0, P * P * sizeof *n->information);
     memset(n->gradient, 0, P * sizeof *n->gradient);
@@ -269,6 +270,7 @@ static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_sm
             n->noise += 0.5 * noise;
             regressor_d += about->share_d[kind] * noise;
             regressor_q += about->share_q[kind] * noise;
+            if (kind == FO_LENGTH) feedback += about->share_lag * noise;
         }
         if (k % w->measurements == FO_LENGTH) {
             square += z * z;
@@ -293,6 +295,10 @@ static bool normal_equations(const fo_work *w, const double p[FO_P], const fo_sm
                                                                          : 0.0;
         n->cost += 0.5 * (p[j] / std) * (p[j] / std);
         n->gradient[i] -= regressor;
+        if (j == FO_P_lag || j == FO_P_delay) {
+            n->cost -= feedback * p[j];
+            n->gradient[i] -= feedback;
+        }
         n->regressor[i] = REGRESSOR_NOISE * regressor;
     }
     n->chi = count > 0 ? square / (double)count : 0.0;

@@ -28,6 +28,9 @@ extern "C" {
     NUMBER(current)         /* rated current [A]                                            */ \
     NUMBER(voltage)         /* usual voltage [V]                                            */ \
     NUMBER(current_noise)   /* std of a component [A]                                       */ \
+    NUMBER(feedback_d)      /* the voltage loses this multiple of the noise of i_d [V/A]      */ \
+    NUMBER(feedback_q)      /* the same of i_q                                               */ \
+    NUMBER(feedback_rows)   /* rows until the voltage's interval ends; 0: no feedback         */ \
     NUMBER(speed)           /* usual electrical speed [rad/s]                               */ \
     NUMBER(drift_std)       /* of a component [V]                                           */ \
     NUMBER(one_inductance)  /* 1: L_d stands for L_q too                                    */ \

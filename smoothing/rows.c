@@ -265,11 +265,23 @@ static void flux_columns(const fo_model *m, const double p[FO_P], const interval
 /* Sums over the rows of a block. */
 typedef struct {
     vec along, along_by_time, mean, current, current_still, flux, flux_across, phase;
-    double psi_row, measured, noise, squares, square_d, square_q, voltage, size, across_noise,
+    double psi_row, measured, noise, squares, feedback, square_d, square_q, voltage, size, across_noise,
         across_psi, rotation, speed, rotor_flux;
     double column[FO_P], across[FO_P];
     bool usable;
 } sums;
+
+/* Covariance of the noise in the measurement and in the derivative by the lag, over the variance of
+ * the current's noise, times the rows of a block and the squares: a current controller returns the
+ * noise of a row in the voltage of an interval that ends some rows later. The derivative has the
+ * mean of two intervals; count: the pairs of rows of a block with the same noise. */
+static double feedback_share(const fo_model *m, const sums *s, double rows)
+{
+    const double after = m->feedback_rows;
+    if (!(after > 0.0)) return 0.0;
+    const double count = fmax(rows - after, 0.0) + fmax(rows - after + 1.0, 0.0);
+    return -0.5 * m->sample_time * s->feedback * count / rows;
+}
 
 static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
 {
@@ -291,6 +303,7 @@ static void finish(fo_work *w, size_t b, const sums *s, const vec total[FO_P])
     const double noise = fmax(s->squares, 1e-300);
     about->share_d[FO_LENGTH] = s->square_d / noise;
     about->share_q[FO_LENGTH] = s->square_q / noise;
+    about->share_lag = feedback_share(m, s, n) / noise;
     about->rotation = fabs(s->speed * h) + 1e-9;
     about->speed = over * s->speed;
     about->angle = atan2(s->phase.im, s->phase.re);
@@ -493,6 +506,7 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
             s.measured += dot(along, correction) - residual - f.along.re * (psi - reference);
             s.noise += m->current_noise * sqrt(d * d + q * q);
             s.squares += d * d + q * q;
+            s.feedback += m->feedback_d * d * f.along.re + m->feedback_q * q * f.along.im;
             s.square_d += (one_inductance ? d * d + q * q : d * d) / (1.0 + p[FO_P_L_d]);
             s.square_q += one_inductance ? 0.0 : q * q / (1.0 + p[FO_P_L_q]);
             s.across_noise += noise2 * (across_d * across_d + across_q * across_q) * over * over;

@@ -35,6 +35,7 @@ typedef struct {
                                     * of the direction, 0: it is not measured */
     double share_d[FO_MEASUREMENTS], share_q[FO_MEASUREMENTS]; /* of that noise in the regressors
                                                                 * of L_d and L_q [1] */
+    double share_lag;          /* of that noise in the measurement times the regressor of the lag */
     double saliency_variance;  /* relative */
     double rotation;           /* of the rotor within the block [rad] */
     double speed, angle;       /* [rad/s], [rad] */

@@ -19,6 +19,7 @@ from ..logs.scales import Scales
 from ..machines import InductionMachine, RotatingMachine
 from ..machines.model.flux_map import LinearMap
 from .assumptions import NAMES, one_inductance, prior_stds, shows_direction
+from .feedback import feedback
 
 #: Outputs of a row, in the order of the C code.
 OUTPUTS: tuple[str, ...] = tuple(_smoother.outputs.split())
@@ -312,7 +313,15 @@ def smooth_record(
     """
     if not model.measures_direction(samples):
         model = model.without_direction()
-    numbers = np.array([model.numbers[name] for name in MODEL_FIELDS], float)
+    gains, delay = feedback(
+        samples.voltage, samples.current, samples.angle, model.numbers["current_noise"]
+    )
+    given = model.numbers | {
+        "feedback_d": -float(gains[0]),
+        "feedback_q": -float(gains[1]),
+        "feedback_rows": float(delay),
+    }
+    numbers = np.array([given[name] for name in MODEL_FIELDS], float)
     stds = np.array([model.stds[name] for name in NAMES], float)
     flux_map = np.array([model.map[name] for name in MAP_FIELDS], float)
     table = np.ascontiguousarray(model.map["coefficients"], float)
