@@ -13,8 +13,10 @@ from ..machines.model.frames import rotate
 
 #: Rows from a current to the end of the interval with its voltage: at once, a sample late, two.
 DELAYS = (1, 2, 3)
-#: Least share of the gain's part in the covariance that is no chance: four standard deviations.
-CHANCE = 4.0
+#: Rows of a mean. A gain above this multiple of its spread, over √chunks, is no chance.
+CHUNK, CHANCE = 256, 4.0
+#: Sum of the squares of (1, -2, 1).
+SQUARES = 6.0
 
 
 def feedback(voltage: Array, current: Array, angle: Array, noise: float) -> tuple[Array, int]:
@@ -47,11 +49,13 @@ def feedback(voltage: Array, current: Array, angle: Array, noise: float) -> tupl
     for delay in DELAYS:
         if len(u) <= delay:
             break
-        # The sum of the squares of (1, -2, 1) is 6.
+        # Steps of the drive are no noise, but few: the median of many means ignores them.
         product = u[delay:] * i[:-delay]
-        gain = product.mean(axis=0) / (6 * noise**2)
-        chance = CHANCE * np.sqrt((product**2).mean(axis=0) / len(product)) / (6 * noise**2)
-        gain = np.where(gain < -chance, gain, 0.0)
+        count = max(1, len(product) // CHUNK)
+        means = product[: len(product) // count * count].reshape(count, -1, 2).mean(axis=1)
+        gain = np.median(means, axis=0) / SQUARES / noise**2
+        spread = np.median(np.abs(means / SQUARES / noise**2 - gain), axis=0)
+        gain = np.where(gain < -CHANCE * spread / np.sqrt(count), gain, 0.0)
         if gain.sum() < best.sum():
             best, found = gain, delay
     return best, found
