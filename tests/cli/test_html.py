@@ -40,7 +40,7 @@ def test_the_page_is_written_once(tmp_path):
     done = fluxobs("page", "--out", "p.html", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     check_self_contained((tmp_path / "p.html").read_text(encoding="utf-8"))
-    assert (tmp_path / "p.html").stat().st_size < 460_000
+    assert (tmp_path / "p.html").stat().st_size < 470_000
     assert fluxobs("page", "--out", "p.html", folder=tmp_path).returncode == 2
     wrong = fluxobs("page", "--out", "p.txt", folder=tmp_path)
     assert wrong.returncode == 2

@@ -13,6 +13,7 @@ import fluxobs
 from fluxobs.machines.files import example_text
 from fluxobs.machines.new import new_machine
 from fluxobs.page import built
+from fluxobs.presentation.plot_data import signals
 from support.browser import Window
 from support.page_logs import written
 
@@ -181,14 +182,14 @@ def test_values_at_the_cursor_belong_to_one_row(page):
     assert len(set(rows)) == 4
 
 
-def test_a_log_can_be_dropped(page):
+def test_a_log_and_a_machine_file_can_be_dropped(page):
     opened_page = page()
     text = (corpus.FOLDER / "plain.csv").read_text()
     machine = example_text(corpus.MACHINE)
     opened_page.js(
         """([text, machine]) => {
-            document.getElementById("machine").value = machine;
             const data = new DataTransfer();
+            data.items.add(new File([machine], "motor.toml"));
             data.items.add(new File([text], "dropped.csv"));
             document.getElementById("drop").dispatchEvent(
                 new DragEvent("drop", { dataTransfer: data, bubbles: true }));
@@ -197,6 +198,43 @@ def test_a_log_can_be_dropped(page):
     )
     opened_page.page.wait_for_selector("body[data-done]")
     equal(opened_page, fluxobs.estimate(corpus.FOLDER / "plain.csv", corpus.MACHINE))
+    opened_page.js(
+        """(machine) => {
+            delete document.body.dataset.done;
+            const data = new DataTransfer();
+            data.items.add(new File([machine.replace("R_s = 0.36", "R_s = 0.4")], "other.toml"));
+            document.getElementById("drop").dispatchEvent(
+                new DragEvent("drop", { dataTransfer: data, bubbles: true }));
+        }""",
+        machine,
+    )
+    opened_page.page.wait_for_selector("body[data-done]")
+    assert opened_page.js("() => fluxobs.state.found.parameters.values.R_s") == 0.4
+    assert opened_page.page.locator("#opened").inner_text() == "dropped.csv"
+
+
+def test_currents_voltages_and_speed_are_drawn(page):
+    opened_page = page()
+    estimated(opened_page, corpus.FOLDER / "plain.csv", example_text("servo-400w"))
+    result = fluxobs.estimate(corpus.FOLDER / "plain.csv", "servo-400w")
+    lag = None if result.lag is None else result.lag.lag
+    expected = signals(result.log, ("alpha", "beta"), lag, result["theta_e"], result["speed_e"])
+    for name in ("i_d", "i_q", "u_d", "u_q"):
+        np.testing.assert_allclose(opened_page.column(name), expected[name], rtol=1e-5, atol=1e-5)
+    assert np.nanstd(expected["i_q"]) > 0
+    titles = opened_page.js("() => fluxobs.results.panels.specs.map((s) => [s.title, s.unit])")
+    for panel in (["Speed", "rpm"], ["Current", "A"], ["Voltage", "V"]):
+        assert panel in titles
+
+
+def test_messages_name_the_fields_of_the_page(page, tmp_path):
+    opened_page = page()
+    log = tmp_path / "short.csv"
+    log.write_text("u_alpha,u_beta,i_alpha,i_beta\n" + "1,2,3,4\n2,3,4,5\n" * 40)
+    estimated(opened_page, log, example_text("servo-400w"))
+    text = opened_page.page.locator("#status").inner_text()
+    assert "“Sample time”" in text
+    assert "--" not in text
 
 
 #: Machine and unknowns.
@@ -350,3 +388,7 @@ def test_a_slider_gives_what_the_library_gives(page):
     )
     for name in ("theta_e", "speed_e", "drift_alpha", "valid"):
         np.testing.assert_allclose(opened_page.column(name), wanted[name], rtol=1e-6, atol=1e-7)
+    row = opened_page.page.locator("tr.changed")
+    assert f"valid on {100 * wanted['valid'].mean():.1f} % of the rows" in row.inner_text()
+    opened_page.page.click(".sliders button")
+    assert not row.is_visible()

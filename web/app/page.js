@@ -344,9 +344,11 @@ async function again() {
     await list(given); // the table of columns is not urgent
     const explained = await ask("explain");
     if (mine !== turn) return;
-    explained.warnings = explained.warnings.map(worded);
-    explained.summary = explained.summary.map(([label, value]) => [label, worded(value)]);
-    results.explain(explained);
+    results.explain({
+      ...explained,
+      warnings: explained.warnings.map(worded),
+      summary: explained.summary.map(([label, value]) => [label, worded(value)]),
+    });
     state.explained = explained;
     document.body.classList.remove("busy");
     say(`Estimated and drawn in ${seconds.toFixed(2)} s.`, "good");

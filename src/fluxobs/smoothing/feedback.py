@@ -39,7 +39,7 @@ def feedback(voltage: Array, current: Array, angle: Array, noise: float) -> tupl
         Rows from the current to the end of the interval; 0 without feedback.
     """
     u, i = rotate(voltage, -angle), rotate(current, -angle)
-    known = np.isfinite(u).all(axis=1)
+    known = np.asarray(np.isfinite(u).all(axis=1))
     u = np.where(known[:, None], u, 0.0)
     # White noise is what neighbouring rows do not explain: second differences.
     u, i = u[2:] - 2 * u[1:-1] + u[:-2], i[2:] - 2 * i[1:-1] + i[:-2]
