@@ -68,7 +68,7 @@ def with_arguments(text: str) -> str:
     >>> with_arguments("give --lag -1, --frame abc --column u_a=A u_b=B or --sample-time")
     "give lag=-1, frame='abc' columns={'u_a': 'A', 'u_b': 'B'} or sample_time"
     """
-    return _FLAG.sub(_argument, text)
+    return re.sub(_FLAG, _argument, text)
 
 
 def _argument(flag: re.Match[str]) -> str:

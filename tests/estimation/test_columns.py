@@ -151,7 +151,7 @@ def test_why_an_observer_cannot_be_exported(run):
 def test_the_command_repeats_every_setting(run):
     plain = run.plain
     assert replace(run, priors={"psi_f": 0.002}).export_command("my motor.toml") == (
-        f"fluxobs export --machine 'my motor.toml' --prior psi_f=0.002 "
+        f"fluxobs export --machine 'my motor.toml' --unknowns drift --prior psi_f=0.002 "
         f"--sample-time {plain.sample_time!r} --memory {plain.memory!r} "
         f"--current-noise {plain.current_noise!r} --drift-prior {plain.drift_prior!r} --out FOLDER"
     )

@@ -153,7 +153,7 @@ REFUSED = {
     "a comparison without a truth": (
         lambda: fluxobs.compare(COLUMNS, SERVO),
         RecordError,
-        ["no true angle", "--truth"],
+        ["no true angle", "truth="],
     ),
 }
 

@@ -215,7 +215,7 @@ def test_units(channel, spellings, factor):
         ("t", "ticks:inf", "'inf' is not a positive number"),
         ("t", "ticks:x", "'x' is not a positive number"),
         ("t", "counts:100", "ticks:HZ is for t"),
-        ("i_a", "counts:100", "give --adc i_a=BITS,RANGE,ZERO"),
+        ("i_a", "counts:100", r"give adc={'i_a': 'BITS,RANGE,ZERO'}"),
         ("theta_e", "ticks:100", "counts:FULL_SCALE is for angles"),
     ],
 )
@@ -378,7 +378,7 @@ def test_three_hall_sensors_are_levels_one_column_is_their_code():
         ({"sincos": "s"}, "truth sincos=s: 2 columns are needed, separated by commas"),
         ({"hall": "s,c"}, "truth hall=s,c: 1 or 3 columns are needed"),
         ({"theta_e": "s,c"}, "truth theta_e=s,c: 1 columns are needed"),
-        ({"sincos": "s,gone"}, "the column 'gone' of --truth sincos=s,gone holds no"),
+        ({"sincos": "s,gone"}, "the column 'gone' of truth={'sincos': 's,gone'} holds no"),
     ],
 )
 def test_malformed_truths(truth, message):

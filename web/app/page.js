@@ -132,6 +132,7 @@ async function open(all) {
     if (all.length) again();
     return;
   }
+  if (state.files[0] === DEMO && files[0].name !== DEMO) $("lag").value = "";
   state.chosen = performance.now();
   say(`Reading ${files.map((one) => one.name).join(", ")} …`);
   try {
@@ -178,6 +179,7 @@ $("files").addEventListener("change", (event) => {
 $("demo").addEventListener("click", async () => {
   $("example").value = "servo-400w";
   $("machine").value = state.known.examples["servo-400w"];
+  $("lag").value = "0"; // its drive is known, and this excerpt is too short to tell it
   open([new File([parts.demo], DEMO)]);
 });
 
@@ -395,7 +397,7 @@ function download(name, parts, type) {
 $("save-csv").addEventListener("click", () => {
   const columns = results.first, // with the given values, not those of the sliders
     drawn = (name) =>
-      !/ [+-]$/.test(name) && !["truth", "raw", "innovation", "adapting"].includes(name),
+      !/ [+-]$|^[iu]_/.test(name) && !["truth", "raw", "innovation", "adapting"].includes(name),
     names = Object.keys(columns).filter(drawn),
     parts = [`${names.join(",")}\n`];
   const flags = names.map((name) => name === "valid"),

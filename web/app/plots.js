@@ -284,7 +284,7 @@ const linear = uPlot.paths.linear();
 function steep(u, n) {
   const y = u.data[n],
     { min, max } = u.scales.y;
-  if (!y || y.length < u.width / 2) return false;
+  if (!y || !u.thinned) return false; // else neighbouring points are no minimum and maximum
   let way = 0;
   for (let k = 1; k < y.length; k++) way += Math.abs(y[k] - y[k - 1]);
   return (way / (max - min)) * u.bbox.height > 10 * u.bbox.width;

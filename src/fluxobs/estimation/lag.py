@@ -19,7 +19,7 @@ from ..core.arrays import Array
 LAGS = (0, -1, -2, 1)
 #: Lags that are rare, and the cost of their prior: some drives compute for two samples, or log the
 #: voltage that acted before its row.
-UNUSUAL_LAGS, UNUSUAL_COST = (-2, 1), float(np.log(2))
+UNUSUAL_LAGS, UNUSUAL_COST = (-2, 1), float(np.log(4))
 #: From this weight of another lag on, the log cannot decide. The weights are calibrated: of 96
 #: drives with every error at once, the wrong lag has more than 0.95 of the weight on 9 %, where
 #: the other assumptions replace the lag (benchmarks/whole_log.py --unknown-lag).

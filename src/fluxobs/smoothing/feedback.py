@@ -15,8 +15,21 @@ from ..machines.model.frames import rotate
 DELAYS = (1, 2, 3)
 #: Rows of a mean. A gain above this multiple of its spread, over √chunks, is no chance.
 CHUNK, CHANCE = 256, 4.0
+#: Second differences with this multiple of the noise's variance are no noise.
+LARGER = 2.0
 #: Sum of the squares of (1, -2, 1).
 SQUARES = 6.0
+
+
+def _is_noise(differences: Array, noise: float) -> bool:
+    """Whether second differences of currents are no larger than their noise makes them.
+
+    With an injected signal or block commutation they are the response to the voltage.
+    """
+    count = max(1, len(differences) // CHUNK)
+    rows = len(differences) // count * count
+    squares = (differences[:rows] ** 2).reshape(count, -1, 2).mean(axis=1)
+    return bool((np.median(squares, axis=0) < LARGER * SQUARES * noise**2).all())
 
 
 def feedback(voltage: Array, current: Array, angle: Array, noise: float) -> tuple[Array, int]:
@@ -46,6 +59,8 @@ def feedback(voltage: Array, current: Array, angle: Array, noise: float) -> tupl
     whole = known[2:] & known[1:-1] & known[:-2]
     u, i = np.where(whole[:, None], u, 0.0), np.where(whole[:, None], i, 0.0)
     best, found = np.zeros(2), 0
+    if not _is_noise(i, noise):
+        return best, found
     for delay in DELAYS:
         if len(u) <= delay:
             break
