@@ -48,6 +48,8 @@ def test_a_log_and_a_scenario(folder):
         "pmsm-2kw2",
         "--truth",
         "theta_e=theta",
+        "--lag",
+        "0",
         "--out",
         "out",
         folder=folder,

@@ -191,12 +191,12 @@ def test_an_interrupted_run_leaves_no_file(folder, name):
     command = [sys.executable, "-m", "fluxobs", "estimate", "log.parquet"]
     command += ["--machine", "motor.toml", "--out", "out.parquet"]
     with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE) as running:
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 60
         while sorted(folder.iterdir()) == before and time.monotonic() < deadline:
             time.sleep(0.02)
         time.sleep(0.5)
         running.send_signal(getattr(signal, name))
-        assert running.wait(20) != 0
+        assert running.wait(60) != 0
     assert sorted(folder.iterdir()) == before
 
 

@@ -88,6 +88,7 @@ def test_priors_is_another_name_of_prior(tmp_path):
         done = fluxobs(
             *("estimate", LOG, "--machine", "servo-400w", "--out", out, "--to", "0.3"),
             *("--unknowns", "drift,resistance", name, "resistance=0.1", "psi_f=0.001"),
+            *("--lag", "0"),
             folder=tmp_path,
         )
         assert done.returncode == 0, done.stderr

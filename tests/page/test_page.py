@@ -85,9 +85,9 @@ def equal(opened_page, expected, rounding=ROUNDING):
         assert explained["summary"][1:] == [list(row) for row in expected.summary_rows[1:]]
         assert explained["warnings"] == expected.warnings
     else:  # the last digits may differ
-        shown = [[label, re.sub(r"\d", "", value)] for label, value in explained["summary"][1:]]
+        shown = [[label, re.sub(r"[\d.]", "", value)] for label, value in explained["summary"][1:]]
         assert shown == [
-            [label, re.sub(r"\d", "", value)] for label, value in expected.summary_rows[1:]
+            [label, re.sub(r"[\d.]", "", value)] for label, value in expected.summary_rows[1:]
         ]
 
 
