@@ -102,14 +102,20 @@ class Comparison:
         """Results of the observers of `fluxobs estimate`, if they ran."""
         return [result for result in self.results if result.name in (WHOLE_LOG, ADAPTIVE)]
 
+    @property
+    def ranked(self) -> list[ObserverResult]:
+        """Results of the observers of the catalogue, the smallest tuned rms error first."""
+        learnt = self.learnt
+        others = [result for result in self.results if result not in learnt]
+        return sorted(others, key=lambda result: result.tuned.rms)
+
     def result(self, name: str) -> ObserverResult:
         return next(result for result in self.results if result.name == name)
 
     @property
     def best(self) -> ObserverResult:
         """Result with the smallest tuned rms position error, of the observers of the catalogue."""
-        others = [result for result in self.results if result not in self.learnt]
-        return min(others, key=lambda result: result.tuned.rms)
+        return self.ranked[0]
 
 
 class _Outputs(NamedTuple):

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 LEAST_SQUARES = "least squares"
+#: Beginnings of the names of fluxobs' observers, which state the rows that are valid.
+OWN = (WHOLE_LOG, ADAPTIVE, LEAST_SQUARES)
 #: An error within this factor of the smallest error counts as equally good.
 NEAR = 1.1
 
@@ -33,12 +35,7 @@ def least_squares_result(comparison: Comparison) -> ObserverResult:
 
 def other_results(comparison: Comparison) -> list[ObserverResult]:
     """Return the results of the published observers, best first."""
-    results = [
-        result
-        for result in comparison.results
-        if not result.name.startswith(LEAST_SQUARES) and result not in comparison.learnt
-    ]
-    return sorted(results, key=lambda result: result.tuned.rms)
+    return [result for result in comparison.ranked if not result.name.startswith(LEAST_SQUARES)]
 
 
 def verdict(comparison: Comparison) -> str:
@@ -112,15 +109,9 @@ def _caption(comparison: Comparison) -> str:
 def table_lines(comparison: Comparison) -> list[list[str]]:
     """Return the lines of the table: first those that learn, then the best with tuned gains."""
     lines = []
-    for result in (
-        *comparison.learnt,
-        *sorted(
-            (result for result in comparison.results if result not in comparison.learnt),
-            key=lambda result: result.tuned.rms,
-        ),
-    ):
+    for result in (*comparison.learnt, *comparison.ranked):
         tuned = result.tuned
-        states = result in comparison.learnt or result.name.startswith(LEAST_SQUARES)
+        states = result.name.startswith(OWN)
         valid = [f"{100 * tuned.claimed:.1f}"] if states else ["", "", ""]
         if states:
             valid += [
@@ -155,8 +146,7 @@ def table(comparison: Comparison) -> Table:
         # As Text, since rich would take [ms] as markup.
         terminal_table.add_column(Text(name), justify="right", no_wrap=True)
     for row in table_lines(comparison):
-        own = row[0].startswith((WHOLE_LOG, ADAPTIVE, LEAST_SQUARES))
-        terminal_table.add_row(*row, style="bold" if own else None)
+        terminal_table.add_row(*row, style="bold" if row[0].startswith(OWN) else None)
     return terminal_table
 
 
@@ -269,8 +259,7 @@ def _draw_bars(axes: Axes, results: Sequence[ObserverResult], bound: float | Non
     positions = np.arange(len(results))
     tuned = np.degrees([_shown_rms(r) for r in results])
     recommended = np.degrees([r.recommended.rms for r in results])
-    own = (WHOLE_LOG, ADAPTIVE, LEAST_SQUARES)
-    colors = [BLUE if r.name.startswith(own) else GREY for r in results]
+    colors = [BLUE if r.name.startswith(OWN) else GREY for r in results]
     left_edge = min(tuned.min(), 0.05) / 2
     axes.barh(
         positions,
