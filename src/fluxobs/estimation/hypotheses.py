@@ -9,7 +9,7 @@ likelihood and of the prior; the weights follow from Bayes' rule.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,7 +24,36 @@ from ..smoothing.record import (
     SmoothedRecord,
     SmoothingModel,
 )
+from .course import Course, no_course
 from .fit import CONTRADICTION
+
+
+@dataclass
+class Hypothesis:
+    """A possible error of the log's lag or of the machine file, and what the log teaches then.
+
+    Attributes
+    ----------
+    shift : int
+        [samples].
+    inductance : float
+        True inductance over that of the machine file.
+    weight : float
+        Probability.
+    course : Course
+    prior : float
+        Negative logarithm of its odds.
+    costs : list of Cost
+        Of each segment that was learnt.
+    """
+
+    shift: int
+    inductance: float = 1.0
+    weight: float = 1.0
+    course: Course = field(default_factory=no_course)
+    prior: float = 0.0
+    costs: list[Cost] = field(default_factory=list)
+
 
 #: A hypothesis with a smaller weight is dropped.
 LEAST_WEIGHT = 0.003

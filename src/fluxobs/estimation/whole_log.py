@@ -7,7 +7,7 @@ in windows that overlap; its parameters are learnt from segments spread over the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,51 +17,46 @@ from ..checking.findings import Check
 from ..checking.search import check_log
 from ..core.output import in_parallel
 from ..errors import FluxobsError
-from ..logs.time.aligned import between, less_lost
-from ..machines import InductionMachine, RotatingMachine
+from ..logs.time.aligned import between
+from ..machines import RotatingMachine
 from ..observers import AdaptiveObserver, LeastSquaresObserver
 from ..observers.adaptive import Learnt
-from ..observers.for_log import LEAST_NOISE, Prepared, prepare
+from ..observers.for_log import LEAST_NOISE, Prepared
 from ..observers.outputs import outputs
 from ..smoothing.assumptions import Calibration, stated_items, with_scale
-from ..smoothing.estimate import VALID_STD, SmoothedEstimate, smoothed_estimate
+from ..smoothing.estimate import SmoothedEstimate, smoothed_estimate
 from ..smoothing.record import (
     QUANTITIES,
     Assumed,
-    Cost,
-    RecordSamples,
     SmoothedRecord,
     SmoothingModel,
-    learn_record,
     smooth_record,
 )
 from .anchors import (
     Anchored,
-    anchored,
     anchors_of,
     forwards,
     joined_pieces,
     later,
-    record_samples,
     rows_between,
     usual_speed,
     without_bridge,
 )
 from .budget import Budget
 from .columns import EstimateRows, rows_of
-from .course import Course, Learning, course_of, no_course
+from .course import Course, Learning, course_of
 from .encoder import delay_cost
-from .events import LEAST_ANCHORS, SUSPICIOUS_MISFIT, EventSearch
+from .events import LEAST_ANCHORS, SUSPICIOUS_MISFIT
 from .fit import (
     contradiction,
     doubts_bridge,
     inductance_error,
     inverter_loss,
     rank,
-    typical_std,
 )
 from .hypotheses import (
     LEAST_WEIGHT,
+    Hypothesis,
     mixed,
     other_inductances,
     total_costs,
@@ -69,6 +64,7 @@ from .hypotheses import (
     with_inductance,
 )
 from .lag import UNDECIDED, UNUSUAL_COST, UNUSUAL_LAGS, LagDecision
+from .starts import Starts
 from .statistics import THIN_ROWS, Statistics
 
 #: Rows of a window of a long log, and rows that it shares with each neighbour: at 20 kHz, 6.6 s
@@ -76,13 +72,6 @@ from .statistics import THIN_ROWS, Statistics
 WINDOW_ROWS, OVERLAP_ROWS = 131_072, 16_384
 #: Number of segments of a long log from which parameters are learnt, and their rows.
 SEGMENTS, SEGMENT_ROWS = 8, 65_536
-#: Parts of a record that are learnt alone if the whole does not fit, and the largest share of rows
-#: that may not fit then.
-PARTS, MOST_EVENTS = 4, 0.2
-#: Cost of an estimate without the direction of injected rows: a lag with which they fit is better.
-WITHOUT_DIRECTION = 500.0
-#: With this multiple of the standard deviation of the best hypothesis, another has not converged.
-LARGER_STD = 1.5
 #: Cost that excludes a lag.
 UNLIKELY = 1e3
 
@@ -115,33 +104,6 @@ class SmoothedWindow:
     record: SmoothedRecord | None = None
     square: float | None = None
     contradiction: str = ""
-
-
-@dataclass
-class Hypothesis:
-    """A possible error of the log's lag or of the machine file, and what the log teaches then.
-
-    Attributes
-    ----------
-    shift : int
-        [samples].
-    inductance : float
-        True inductance over that of the machine file.
-    weight : float
-        Probability.
-    course : Course
-    prior : float
-        Negative logarithm of its odds.
-    costs : list of Cost
-        Of each segment that was learnt.
-    """
-
-    shift: int
-    inductance: float = 1.0
-    weight: float = 1.0
-    course: Course = field(default_factory=no_course)
-    prior: float = 0.0
-    costs: list[Cost] = field(default_factory=list)
 
 
 class WholeLog:
@@ -177,6 +139,8 @@ class WholeLog:
         self.machine: RotatingMachine = run.machine
         self.priors, self.count = priors, count
         self.calibration = Calibration.of(priors)
+        self.long = len(run.log) > WINDOW_ROWS + 2 * OVERLAP_ROWS
+        self.starts = Starts(run, learnt, in_parts=not self.long)
         names = self.machine.inductance_names
         self.budget = Budget(
             1.5 * self.machine.n_p,
@@ -292,7 +256,7 @@ class WholeLog:
 
     def rows(self) -> Iterator[EstimateRows]:
         """Yield the estimates of all rows in order, a window at a time."""
-        if len(self.run.log) > WINDOW_ROWS + 2 * OVERLAP_ROWS:
+        if self.long:
             self._learn_segments()
         windows = self._windows()
         if self._learnt and self.model is not None:
@@ -354,7 +318,7 @@ class WholeLog:
         def learn(segment: Anchored) -> tuple[Anchored, list[SmoothedRecord]]:
             anchors = anchors_of(segment)
             model = self._model_for(segment, anchors)
-            return segment, self._learn_all(model, segment, anchors, hypotheses)
+            return segment, self.starts.learn(model, segment, anchors, hypotheses)
 
         for segment, records in in_parallel(learn, self._anchored_segments(count)):
             self._add_costs(hypotheses, records, segment)
@@ -404,64 +368,6 @@ class WholeLog:
             )
         return self.model
 
-    def _learn_all(
-        self,
-        model: SmoothingModel,
-        rows: Anchored,
-        anchors: NDArray[np.bool_],
-        hypotheses: list[Hypothesis],
-    ) -> list[SmoothedRecord]:
-        """Smooth and learn with each hypothesis.
-
-        A hypothesis that did not converge starts once more from the best one, which may have found
-        another angle or other parameters. Only then do the costs tell the hypotheses apart.
-        """
-
-        def learn(hypothesis: Hypothesis) -> SmoothedRecord:
-            return self._learn(
-                with_inductance(model, hypothesis.inductance),
-                later(rows, hypothesis.shift),
-                anchors,
-            )
-
-        records = list(in_parallel(learn, iter(hypotheses)))
-        best = min(records, key=rank)
-        if not best.misfit < SUSPICIOUS_MISFIT:
-            return records
-        usual = LARGER_STD * typical_std(best)
-
-        def again(pair: tuple[Hypothesis, SmoothedRecord]) -> SmoothedRecord:
-            hypothesis, record = pair
-            fits = record.misfit < SUSPICIOUS_MISFIT and typical_std(record) < usual
-            same = record.model.rows_per_block == best.model.rows_per_block
-            if record is best or (fits and same and record.settled):
-                return record
-            return self._learn_from(best, later(rows, hypothesis.shift), hypothesis, record)
-
-        return list(in_parallel(again, zip(hypotheses, records, strict=True)))
-
-    def _learn_from(
-        self,
-        best: SmoothedRecord,
-        rows: Anchored,
-        hypothesis: Hypothesis,
-        record: SmoothedRecord,
-    ) -> SmoothedRecord:
-        """Learn from the angles and parameters of another hypothesis; return the better record."""
-        angle, std = best.outputs["theta_e"], best.outputs["theta_e_std"]
-        known = best.known & (std < max(VALID_STD, LARGER_STD * typical_std(best)))
-        if known.sum() < LEAST_ANCHORS or self.model is None:
-            return record
-        model = with_inductance(
-            self.model.with_numbers(speed=best.model.numbers["speed"]), hypothesis.inductance
-        )
-        samples = self._samples(Anchored(rows.samples, angle, std, known), known)
-        start = best.assumed.with_deviation("lag", 0.0).with_deviation("delay", 0.0)
-        other = learn_record(model, samples, start)
-        same = record.model.rows_per_block == other.model.rows_per_block
-        worse = rank(record)[0] or not same or record.cost.sum > other.cost.sum
-        return other if worse and np.isfinite(other.cost.sum) else record
-
     def _add_costs(
         self, hypotheses: list[Hypothesis], records: list[SmoothedRecord], rows: Anchored
     ) -> None:
@@ -477,124 +383,6 @@ class WholeLog:
             if not comparable and record is not best:  # another start with other blocks fits better
                 cost = replace(cost, innovations=best.cost.innovations + UNLIKELY)
             hypothesis.costs.append(cost)
-
-    def _samples(self, rows: Anchored, anchors: NDArray[np.bool_]) -> RecordSamples:
-        inverter = self.machine.inverter if self.run.log.inverter is None else None
-        return record_samples(rows, anchors, inverter)
-
-    def _start(self, model: SmoothingModel) -> Assumed:
-        """Return the parameters that the observer learnt."""
-        prior, learnt, machine = model.prior(), self.learnt, self.machine
-        if learnt is None:
-            return prior
-        loss = learnt.inverter_voltage - model.numbers["inverter_voltage"]
-        deviations = prior.deviations | {
-            "resistance": learnt.resistance - machine.R_s,
-            "inverter_hard": loss / 2,
-            "inverter_soft": loss / 2,
-            "offset_alpha": learnt.offset[0],
-            "offset_beta": learnt.offset[1],
-            "L_d": learnt.inductance_error[0],
-            "L_q": learnt.inductance_error[1],
-            "psi_f": learnt.psi_f - model.numbers["psi"],
-        }
-        kept = {name: value if model.stds[name] > 0 else 0.0 for name, value in deviations.items()}
-        return Assumed(kept, prior.covariance, prior.filter_scale)
-
-    def _learn(
-        self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]
-    ) -> SmoothedRecord:
-        """Smooth and learn; if the innovations are suspicious, try other starts."""
-        best: SmoothedRecord | None = None
-        for samples, start, tried in self._starts(model, rows, anchors):
-            record = learn_record(tried, samples, start)
-            if tried.numbers["injection"] != model.numbers["injection"]:
-                cost = replace(record.cost, prior=record.cost.prior + WITHOUT_DIRECTION)
-                record = replace(record, cost=cost)
-            if best is None or rank(record) < rank(best):
-                best = record
-            sure = best.misfit < SUSPICIOUS_MISFIT and typical_std(best) < VALID_STD
-            if sure and not doubts_bridge(best) and not isinstance(self.machine, InductionMachine):
-                break
-        assert best is not None
-        return best
-
-    def _starts(
-        self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]
-    ) -> Iterator[tuple[RecordSamples, Assumed, SmoothingModel]]:
-        """Yield samples, parameters and model to start from, the most promising first."""
-        samples = self._samples(rows, anchors)
-        start = self._start(model)
-        yield samples, start, model
-        if model.measures_direction(samples):  # an oscillation may look like an injection
-            yield samples, start, model.without_direction()
-        off = without_bridge(rows)
-        if off is not None:
-            off, length = self._plain_angles(off)
-            known = anchors_of(off)
-            if known.sum() >= LEAST_ANCHORS:
-                yield self._samples(off, known), self._with_length(model, length), model
-        if isinstance(self.machine, InductionMachine):
-            yield samples, start, model.with_numbers(rotor_flux_start=0.0)
-            return
-        yield samples, model.prior(), model
-        if isinstance(self.run.observer, AdaptiveObserver):
-            other, length = self._plain_angles(rows)
-            anchors = anchors_of(other)
-            if anchors.sum() >= LEAST_ANCHORS:
-                samples = self._samples(other, anchors)
-                model = model.with_numbers(
-                    speed=usual_speed(other, anchors, self.run.log.sample_time)
-                )
-                for guess in (start, model.prior()):
-                    yield samples, self._with_length(model, length, guess), model
-        if len(self.run.log) <= WINDOW_ROWS + 2 * OVERLAP_ROWS:  # a long log has other segments
-            yield from self._from_parts(model, rows)
-
-    def _from_parts(
-        self, model: SmoothingModel, rows: Anchored
-    ) -> Iterator[tuple[RecordSamples, Assumed, SmoothingModel]]:
-        """Yield the record without the rows of an event that spoils it, if there are few."""
-        anchors = anchors_of(rows)
-        search = EventSearch(model, self._samples(rows, anchors), anchors, self._start(model))
-        count = len(rows.valid)
-        edges = np.linspace(0, count, PARTS + 1).astype(int).tolist()
-        events = [
-            event
-            for first, last in zip(edges, edges[1:])  # noqa: B905, RUF007  # the page has no itertools
-            for event in search.events(first, last)
-        ]
-        if search.best is None or sum(b - a for a, b in events) > MOST_EVENTS * count:
-            return
-        voltage = rows.samples.voltage.copy()
-        for first, last in events:
-            voltage[first:last] = np.nan
-        without = replace(rows, samples=rows.samples._replace(voltage=voltage))
-        yield self._samples(without, anchors), search.best.assumed, model
-
-    def _with_length(
-        self, model: SmoothingModel, length: float, start: Assumed | None = None
-    ) -> Assumed:
-        """Return assumptions with the magnet flux that the plain observer measures, if any."""
-        start = model.prior() if start is None else start
-        if model.stds["psi_f"] > 0 and self.machine.saliency == 0 and length > 0:
-            return start.with_deviation("psi_f", length - model.numbers["psi"])
-        return start
-
-    def _plain_angles(self, rows: Anchored) -> tuple[Anchored, float]:
-        """Return the rows with the angles of the plain observer, and its length of λ - L i [Wb].
-
-        The length is 0 if no row is valid.
-        """
-        run = prepare(self.run.log, self.machine, ("drift",), None, {}, self.run.scales)
-        samples = rows.samples
-        if run.log.inverter is not None:
-            samples = less_lost(samples, run.log.inverter, samples.current[:1])
-        observer: Any = run.observer
-        estimates = observer.run(samples.voltage, samples.current)
-        known = estimates.valid
-        length = float(np.median(estimates.psi_f[known])) if known.any() else 0.0
-        return anchored(rows.samples, estimates), length
 
     def _smoothed(self, window: Window) -> SmoothedWindow:
         """Smooth a window."""
@@ -634,7 +422,7 @@ class WholeLog:
         assumed: Assumed,
     ) -> SmoothedRecord:
         """Smooth with learnt parameters."""
-        samples = self._samples(rows, anchors)
+        samples = self.starts.samples(rows, anchors)
         record = smooth_record(model, samples, assumed, learning=False)
         if record.misfit > SUSPICIOUS_MISFIT and model.measures_direction(samples):
             other = smooth_record(model.without_direction(), samples, assumed, learning=False)
@@ -642,10 +430,12 @@ class WholeLog:
         if doubts_bridge(record):
             off = without_bridge(rows)
             assert off is not None
-            off, _ = self._plain_angles(off)
+            off, _ = self.starts.plain_angles(off)
             known = anchors_of(off)
             if known.sum() >= LEAST_ANCHORS:
-                other = smooth_record(model, self._samples(off, known), assumed, learning=False)
+                other = smooth_record(
+                    model, self.starts.samples(off, known), assumed, learning=False
+                )
                 record = min(record, other, key=rank)
         return record
 
@@ -675,8 +465,8 @@ class WholeLog:
         time = float(rows.samples.t[len(rows.valid) // 2])
         records: list[tuple[Hypothesis, SmoothedRecord]] = []
 
-        def learn(hypotheses: list[Hypothesis]) -> None:
-            learnt = self._learn_all(model, rows, anchors, hypotheses)
+        def learn(hypotheses: list[Hypothesis], known: SmoothedRecord | None = None) -> None:
+            learnt = self.starts.learn(model, rows, anchors, hypotheses, known)
             self._add_costs(hypotheses, learnt, rows)
             for hypothesis, record in zip(hypotheses, learnt, strict=True):
                 learning = Learning(time, record.assumed, record.misfit)
@@ -686,7 +476,8 @@ class WholeLog:
         learn(self.hypotheses)
         others = self._other_inductances()
         if others:
-            learn(others)
+            cheapest = self._cheapest
+            learn(others, next(record for own, record in records if own is cheapest))
             self.hypotheses += others
         self._weigh()
         kept = [
