@@ -52,7 +52,7 @@ def test_what_fits_equally_well(more, alike):
     finding = _make_finding("lag", result([other]), -1.0, "psi_f")
     assert finding.as_given
     assert finding.words == "-1"
-    assert finding.others == (("+0",) if alike else ())
+    assert finding.others == (("0",) if alike else ())
     assert finding.sure == ("" if alike else "every alternative needs implausible parameters")
 
 

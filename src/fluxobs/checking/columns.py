@@ -191,9 +191,14 @@ def _blocks(signals: dict[str, Array], log: Log) -> bool:
 def _find_spikes(signals: dict[str, Array], log: Log) -> list[Finding]:
     spiked = []
     stepping = ("d_", "u_") if _blocks(signals, log) else ("d_",)
+    currents = [values for name, values in signals.items() if name.startswith("i_")]
+    # A sample that was lost may be empty in one column and 0 in another.
+    lost = np.isnan(np.stack(currents)).any(axis=0) if currents else False
     for name, values in signals.items():
         if name.startswith(stepping):
             continue
+        if name.startswith("i_"):
+            values = np.where(lost, np.nan, values)
         _, spikes = without_spikes(values.astype(complex))
         if spikes >= SPIKES:
             spiked.append((name, spikes))

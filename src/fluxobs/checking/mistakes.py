@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.arrays import Array
-from ..logs.record import LAGS
+from ..logs.record import LAGS, signed
 from ..machines.model.frames import PHASE_CURRENTS, clarke, three_phases
 from .relation import Prior
 from .segments import Complex
@@ -163,7 +163,7 @@ PHASES = [
         ("α and β are exchanged", True, _rotation(90)),
     )
 ]
-LAG = [Mistake("lag", f"{lag:+d}", lag=lag) for lag in LAGS if lag]
+LAG = [Mistake("lag", signed(lag), lag=lag) for lag in LAGS if lag]
 FRAME = [
     Mistake(
         "frame",

@@ -43,8 +43,9 @@ ITERATIONS, HALVINGS = 25, 5
 CONVERGED = 1e-3
 #: Number of iterations for the rotor angle at which a flux map is evaluated.
 ROUNDS = 3
-#: If the position vector turns by less, the position counts as unknown [rad].
-TURNED = np.pi / 2
+#: If the position vector turns by less in most segments, the position counts as unknown [rad]. Up
+#: to this share of the segments may be at standstill.
+TURNED, STANDING = np.pi / 2, 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +265,7 @@ class RelationResidual:
                 break
         with np.errstate(invalid="ignore", divide="ignore"):
             turned = np.ptp(np.unwrap(np.angle(best.position), axis=1), axis=1)
-        share = best.share if np.median(turned) > TURNED else np.inf
+        share = best.share if np.mean(turned > TURNED) > 1 - STANDING else np.inf
         misfit = best.misfit if np.isfinite(share) else np.inf
         covariance = np.linalg.pinv(self._information(best)[0] + prior.precision)
         std = np.sqrt(np.diag(covariance))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..logs.log import Log
+from ..logs.record import signed
 from ..logs.scales import Scales, measure_scales
 from ..machines import RotatingMachine
 from ..machines.model.frames import PHASE_CURRENTS
@@ -333,13 +334,13 @@ def _make_finding(kind: str, result: SearchResult, lag: float, flux_name: str) -
 
     def describe(mistake: Mistake) -> str:
         if kind == "lag":
-            return f"{lag + mistake.lag:+g}"
+            return signed(lag + mistake.lag)
         return mistake.words.replace("psi_f", flux_name)
 
     mistake_found = next((mistake for mistake in result.mistakes if mistake.kind == kind), None)
     if mistake_found is not None:
         return Finding(kind, describe(mistake_found), False, result.alternatives[kind])
-    as_given = f"{lag:+g}" if kind == "lag" else RIGHT[kind]
+    as_given = signed(lag) if kind == "lag" else RIGHT[kind]
     others = [candidate for candidate in result.candidates if candidate.mistake.kind == kind]
     cost = best.cost(level)
     alike = [other for other in others if other.cost(level) - ODDS < cost + AMBIGUOUS]

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array
+from ..logs.record import signed
 from ..machines import RotatingMachine
 from ..machines.model.frames import wrap
 from .findings import Finding
@@ -73,7 +74,7 @@ def check_truth(
         return [
             Finding(
                 "truth",
-                f"with --lag {lag + best:+g} the true angle fits to "
+                f"with --lag {signed(lag + best)} the true angle fits to "
                 f"{np.degrees(rms(fits[best])):.1f}° rms, with the given lag to "
                 f"{np.degrees(rms(fit)):.1f}°",
                 False,

@@ -75,7 +75,7 @@ def _describe_valid(score: Score) -> str:
     if not score.claimed:
         return "no scored row is valid"
     rms, worst = _degrees(np.degrees(score.rms_claimed)), _degrees(np.degrees(score.worst_claimed))
-    return f"{score.claimed:.0%} of the scored rows are valid, with {rms} rms, {worst} at most"
+    return f"{score.claimed:.1%} of the scored rows are valid, with {rms} rms, {worst} at most"
 
 
 def _number(value: float) -> str:

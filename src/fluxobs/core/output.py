@@ -30,6 +30,10 @@ def check_place(path: Path) -> None:
         raise FluxobsError(f"{path}: the folder {path.parent} does not exist")
 
 
+#: Formats of a table.
+TABLES = (".parquet", ".csv")
+
+
 def make_folder(path: str | Path, result: str | None = None, force: bool = True) -> Path:
     """Create the folder if it is missing.
 
@@ -68,7 +72,7 @@ def check_out(out: str | Path, log: Path, force: bool = False) -> Path:
     out = Path(out)
     if out.exists() and log.exists() and out.samefile(log):
         raise FluxobsError(f"{out}: --out is the log itself; give another name")
-    check_new(out, (".parquet", ".csv"), force)
+    check_new(out, TABLES, force)
     return out
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core.arrays import Array
+from ..logs.record import signed
 
 #: Lags to try, relative to the lag with which a log is read: 0 [samples].
 LAGS = (0, -1, -2, 1)
@@ -60,11 +61,6 @@ class LagDecision:
             for lag, share in self.weights.items()
             if share > LEAST_SHARE
         )
-
-
-def signed(lag: float) -> str:
-    """Return a lag as text."""
-    return f"{lag:+g}" if lag else "0"
 
 
 def shifted(voltage: Array, shift: int) -> Array:

@@ -43,8 +43,8 @@ from .hypotheses import Hypothesis, with_inductance
 #: Parts of a record that are learnt alone if the whole does not fit, and the largest share of rows
 #: that may not fit then.
 PARTS, MOST_EVENTS = 4, 0.2
-#: A record converged if the angle is sure on this share of its rows; less if learning settled, as on
-#: a log that is slow most of the time.
+#: A record converged if the angle is sure on this share of its rows. If learning settled, less is
+#: enough: a log may be slow most of the time.
 SURE, SURE_SETTLED = 0.5, 0.2
 #: Cost of an estimate without the direction of injected rows: a lag with which they fit is better.
 WITHOUT_DIRECTION = 500.0

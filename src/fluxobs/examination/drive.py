@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..estimation.learning import parameters
+from ..logs.record import signed
 from ..machines.heat import COLD, COPPER
 from ..observers.adaptive import Learnt
 from ..presentation import Result
@@ -108,7 +109,7 @@ def _magnet_item(value: float, std: float, told: bool, result: Result) -> Item:
         words += (
             "; if the file is right, the magnets are hot (0.1 to 0.2 % per kelvin) or demagnetised"
             if share < 1
-            else "; is psi_f in the machine file a line-to-line or rms value?"
+            else "; if the log's scales are right, psi_f in the machine file is too small"
         )
     return Item("magnet flux", verdict, words, value, std, "Wb")
 
@@ -156,12 +157,16 @@ def lag_item(result: Result) -> Item:
     if decision is not None:
         if not decision.decided:
             return Item(name, "cannot be told", f"{decision.alternatives} fit; {words}")
-        return Item(name, "fine", f"learnt from the log: {decision.lag:+g}", value, std, "samples")
+        return Item(
+            name, "fine", f"learnt from the log: {signed(decision.lag)}", value, std, "samples"
+        )
     given = result.log.layout.lag
     verdict = judge(value, std, LAG, given)
-    words = f"read with --lag {given:g}"
+    words = f"stated: {signed(given)}"
     if verdict == "look at it":
         words += f"; try --lag {round(value):g}"
+    elif verdict == "cannot be told":  # the log allows other lags too
+        verdict, words = "fine", f"{words}, which fits"
     return Item(name, verdict, words, value, std, "samples")
 
 

@@ -119,16 +119,14 @@ def check_offsets(channels: dict[str, Array], log: Log, rated: float) -> list[It
             words = f"{mean / rated:+.2%} of the rated current, in {len(resting)} rows at rest"
             items.append(Item(f"offset of {name}", verdict, words, mean, std, "A"))
     else:
-        items.append(
-            _undetermined_offsets("record half a second with the bridge off, or at zero voltage")
-        )
+        items.append(_undetermined_offsets("record half a second of them, or of zero voltage"))
     if len(names) == 3 and tuple(names) == PHASE_CURRENTS:
         items += _check_sum(current, rated)
     return items
 
 
 def _undetermined_offsets(test: str) -> Item:
-    words = f"currents and voltages are never zero at the same time in this log: {test}"
+    words = f"the log has no rows at rest with the bridge off: {test}"
     return Item("offsets of the current sensors", "cannot be told", words)
 
 

@@ -12,6 +12,7 @@ from ..core.output import check_out, write_text
 from ..core.plots import BLUE, FORMATS, GREY, HTML, ORANGE, STYLE, legend, new_figure
 from ..core.plots import write as save
 from ..errors import FluxobsError
+from ..logs.record import signed
 from ..machines.saving import write_machine
 from .fit_result import FittedParameters
 from .map_fit import FoundMap
@@ -51,7 +52,7 @@ def lines(fit: FittedParameters) -> list[str]:
         statistics = fit.run.statistics
         sentences.append(
             f"The position is valid on {statistics.valid / statistics.rows:.1%} of the rows; "
-            f"lag {fit.lag:+g}"
+            f"lag {signed(fit.lag)}"
         )
     return sentences
 

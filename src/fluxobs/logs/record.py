@@ -17,6 +17,11 @@ LAGS = (-2, -1, 0, 1, 2)
 SAMPLE_TIME_TOLERANCE = 1e-3
 
 
+def signed(lag: float) -> str:
+    """Return a lag as text."""
+    return f"{lag:+g}" if lag else "0"
+
+
 def interval_rows(rows: Array, lag: float, first: int, last: int, start: int = 0) -> Array:
     """Return the voltage over the intervals that end at rows first … last - 1.
 

@@ -19,6 +19,7 @@ from ..estimation.course import CONVERGED_MISFIT
 from ..estimation.lag import UNDECIDED
 from ..estimation.learning import parameters
 from ..estimation.run import LogRun
+from ..logs.record import signed
 
 #: Kinds of findings that exchange, turn or reverse vectors.
 ARRANGING = ("sign", "phases", "frame")
@@ -92,13 +93,13 @@ def _agreed_lag(finding: Finding, result: LogRun) -> Finding:
             return finding
     elif finding.as_given or float(finding.words) in decision.weights:
         others = tuple(
-            f"{other:+g}"
+            signed(other)
             for other, weight in decision.weights.items()
             if other != lag and weight > UNDECIDED
         )
     else:
         return finding  # the estimate did not try this lag
-    return Finding("lag", f"{lag:+g}", True, others, "the whole log fits with it")
+    return Finding("lag", signed(lag), True, others, "the whole log fits with it")
 
 
 def _all_told(result: LogRun) -> bool:

@@ -15,6 +15,7 @@ from ..errors import UsageError
 from ..estimation.run import LogRun
 from ..estimation.truth import TruthFit
 from ..logs.quality.marks import MARKS
+from ..logs.record import signed
 from ..observers import ImmersionObserver
 from .plot_data import BUDGET_LAYERS
 
@@ -212,10 +213,12 @@ def _numbers(result: LogRun, fit: TruthFit | None) -> str:
     if not statistics.valid:
         return "\nno valid position: see the summary"
     psi = 1e3 * statistics.mean("psi_f")
-    text = f"\nlag {result.log.layout.lag:g}  ·  |λ - L i| = {psi:.3g} mWb"
+    text = f"\nlag {signed(result.log.layout.lag)}  ·  |λ - L i| = {psi:.3g} mWb"
     if statistics.scored:
-        rms = fit.rms if fit is not None and fit.angular else statistics.rms_error
+        corrected = fit is not None and fit.angular
+        rms = fit.rms if fit is not None and corrected else statistics.rms_error
         text += f"  ·  position error {np.degrees(rms):.2f}° rms on valid rows"
+        text += ", without the encoder's errors" if corrected else ""
     return text
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ..core.output import check_out, write_rows
+from ..core.output import TABLES, check_out, write_rows
 from ..core.validation import nearest
 from ..errors import FluxobsError
 from ..estimation.columns import column_units
@@ -193,6 +193,9 @@ class Result(ExplainedRun):
         if path.suffix.lower() in FORMATS:
             write(self.plot(), path)
             return
+        if path.suffix.lower() not in TABLES:
+            endings = ", ".join((*TABLES, *FORMATS, HTML))
+            raise FluxobsError(f"{path}: a result is written to {endings} or .toml")
         table = self.estimates
         write_rows(check_out(path, self.log.path, force=True), dict(table.schema), iter([table]))
 

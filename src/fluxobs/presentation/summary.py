@@ -7,12 +7,12 @@ import numpy as np
 from ..checking.findings import UNSEEN as UNSEEN_TURN
 from ..checking.findings import Check
 from ..estimation.columns import is_position
-from ..estimation.lag import signed
 from ..estimation.learning import UNSEEN, learning_segments, parameters
 from ..estimation.quality import times_of
 from ..estimation.run import LogRun
 from ..estimation.truth import TruthFit
 from ..logs.quality.marks import MARKS
+from ..logs.record import signed
 from ..machines import RotatingMachine
 from ..observers import ImmersionObserver
 from ..observers.immersed import UNSEEN_BIAS
@@ -149,7 +149,11 @@ def _speed(result: LogRun) -> list[Row]:
     low, high = RPM * float(mechanical.min()), RPM * float(mechanical.max())
     e_low, e_high = float(electrical.min()), float(electrical.max())
     return [
-        ("speed", f"{low:.0f} to {high:.0f} rpm ({e_low:.4g} to {e_high:.4g} rad/s electrical)")
+        (
+            "speed",
+            f"{low:.0f} to {high:.0f} rpm on valid rows "
+            f"({e_low:.4g} to {e_high:.4g} rad/s electrical)",
+        )
     ]
 
 
@@ -342,7 +346,7 @@ def _quality(result: LogRun) -> list[Row]:
         for name in EVENTS
         if name in marked
     ]
-    return [("marks", "; ".join(events))] if events else []
+    return [("marks", f"no faults: {'; '.join(events)}")] if events else []
 
 
 def _next(result: LogRun, checked: Check | None) -> list[Row]:

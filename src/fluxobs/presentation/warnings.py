@@ -17,6 +17,7 @@ from ..machines import RotatingMachine
 from ..machines.model.flux_table import RECIPROCITY
 from ..observers import LeastSquaresObserver
 from ..smoothing.assumptions import ITEMS
+from ..smoothing.estimate import VALID_STD
 from .summary import NAMED_MARKS, bias_is_seen, si
 
 #: Warn if an electrical period has fewer samples than this. With fewer samples, the error of the
@@ -78,9 +79,11 @@ def misfit_warnings(result: LogRun) -> list[str]:
         return []
     if budget.contradiction:
         item = next(item for item in ITEMS if item.name == budget.contradiction)
+        inductances = dict(zip(("L_d", "L_q"), result.rotor.inductances, strict=True))
+        name = inductances.get(item.name, f"the {item.name}")
         return [
-            f"No row is valid: the log fits only with an error of the {item.name} far beyond what "
-            f"is assumed ({item.reason}). To mend it, {item.remedy}. Or check the columns with "
+            f"No row is valid: the log fits only with an error of {name} far beyond what is "
+            f"assumed ({item.reason}). To mend it, {item.remedy}. Or check the columns with "
             f"their scales and signs, and --lag."
         ]
     if budget.wrong_inductance > DOUBTED:
@@ -223,12 +226,19 @@ def _validity(result: LogRun) -> list[str]:
         if still
         else "check R_s and the inductances, the voltage columns and their scale, --frame and --lag"
     )
-    if result.lag is not None and not result.lag.decided and not still:
-        reason = (
-            "the log does not determine the lag of the voltages, and the positions with the two "
-            f"usual lags differ by {np.degrees(result.lag.position_difference):.2g}°: state --lag"
+    budget, lag = result.budget, result.lag
+    if lag is not None and not lag.decided and not lag.position_difference < VALID_STD / 2:
+        degrees = np.degrees(lag.position_difference)
+        reason = "the log does not determine the lag of the voltages: state --lag" + (
+            f". The positions with the two most probable lags differ by {degrees:.2g}°"
+            if np.isfinite(degrees)
+            else ""
         )
-    budget = result.budget
+    elif budget is not None and budget.misfit < CONVERGED_MISFIT and not still:
+        reason = (
+            f"on the others its standard deviation exceeds {np.degrees(VALID_STD):.0f}°, as near "
+            "standstill"
+        )
     if result.examined is not None and result.examined.rearranged:
         return ["No row is valid until that is corrected."]
     if budget is not None and (budget.contradiction or budget.wrong_inductance > DOUBTED):
