@@ -145,7 +145,7 @@ def test_result_shows_writes_and_draws(tmp_path):
     assert len(result.plot().axes) == 9
     with pytest.raises(FluxobsError, match="did you mean 'theta_e'"):
         result["theta"]
-    with pytest.raises(FluxobsError, match="must end in"):
+    with pytest.raises(FluxobsError, match="is written to"):
         result.write(tmp_path / "estimates.xlsx")
 
 

@@ -204,8 +204,8 @@ def test_paths_that_cannot_be_written(plain, tmp_path):
     from_file = fluxobs.estimate(tmp_path / "log.csv", SERVO, unknowns="drift", causal=True)
     before = (tmp_path / "log.csv").read_bytes()
     for path, words in (
-        ("out.xlsx", "must end in"),
-        ("picture.gif", "must end in"),
+        ("out.xlsx", "is written to"),
+        ("picture.gif", "is written to"),
         ("nowhere/out.csv", "does not exist"),
         ("nowhere/picture.png", "cannot be written: No such file"),
         ("log.csv", "the log itself"),

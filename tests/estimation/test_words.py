@@ -103,7 +103,9 @@ def test_numbers_of_a_summary(run):
     assert rows["  error"] == (
         "2.00° rms, 7.25° at most, mean 0.50°, on 1000 valid rows with a true value"
     )
-    assert re.fullmatch(r"119\d to 12\d\d rpm \(49\d to 5\d\d.\d rad/s electrical\)", rows["speed"])
+    assert re.fullmatch(
+        r"119\d to 12\d\d rpm on valid rows \(49\d to 5\d\d.\d rad/s electrical\)", rows["speed"]
+    )
     assert rows["lag"] == "0, assumed: a voltage acts from its row on"
     assert rows["drift"] == (
         "+0.03, -0.04 V in αβ: as from a voltage offset of 50 mV, or a current offset of 139 mA"

@@ -46,6 +46,12 @@ PARTS, MOST_EVENTS = 4, 0.2
 #: A record converged if the angle is sure on this share of its rows. If learning settled, less is
 #: enough: a log may be slow most of the time.
 SURE, SURE_SETTLED = 0.5, 0.2
+#: After this number of rounds, the start without the bridge was tried. It comes first or second
+#: after the log as it is.
+WITHOUT_BRIDGE = 3
+#: Another start is better if its standard deviation is smaller by this share: rounding must not
+#: decide.
+CLEAR = 0.01
 #: Cost of an estimate without the direction of injected rows: a lag with which they fit is better.
 WITHOUT_DIRECTION = 500.0
 #: With this multiple of the standard deviation of the best hypothesis, another has not converged.
@@ -114,22 +120,25 @@ class Starts:
 
         numbers = range(len(hypotheses))
         records = [record for record in in_parallel(learn_next, numbers) if record is not None]
-        while not self._converged(min(records, key=rank)):
+        rounds = 1
+        while not self._converged(min(records, key=rank), rounds):
             tried = list(in_parallel(learn_next, numbers))
             if all(record is None for record in tried):
                 break
+            rounds += 1
             records = [
-                old if new is None else min(old, new, key=rank)
+                new if new is not None and clearly_better(new, old) else old
                 for old, new in zip(records, tried, strict=True)
             ]
         return self._learn_from_best(model, rows, hypotheses, records)
 
-    def _converged(self, best: SmoothedRecord) -> bool:
-        """Whether no other start needs to be tried."""
+    def _converged(self, best: SmoothedRecord, rounds: int) -> bool:
+        """Whether no other start needs to be tried after this number of rounds."""
         if not best.misfit < SUSPICIOUS_MISFIT or isinstance(self.machine, InductionMachine):
             return False
         sure = float((best.outputs["theta_e_std"] < VALID_STD).mean())
-        return sure > (SURE_SETTLED if best.settled else SURE) and not doubts_bridge(best)
+        tried_without_bridge = rounds >= WITHOUT_BRIDGE or not doubts_bridge(best)
+        return sure > (SURE_SETTLED if best.settled else SURE) and tried_without_bridge
 
     def _learn_from_best(
         self,
@@ -284,6 +293,14 @@ def learn_from(start: Start, model: SmoothingModel) -> SmoothedRecord:
         return record
     cost = replace(record.cost, prior=record.cost.prior + WITHOUT_DIRECTION)
     return replace(record, cost=cost)
+
+
+def clearly_better(new: SmoothedRecord, old: SmoothedRecord) -> bool:
+    """Whether a record fits and the other does not, or it is more than a little better."""
+    (new_misfits, new_size), (old_misfits, old_size) = rank(new), rank(old)
+    if new_misfits != old_misfits:
+        return old_misfits
+    return new_size < (1 - CLEAR) * old_size
 
 
 def cheaper(record: SmoothedRecord, other: SmoothedRecord) -> SmoothedRecord:
