@@ -108,7 +108,7 @@ class Check:
             return []
         suffix = (
             ""
-            if best == given
+            if f"{best:.1%}" == f"{given:.1%}"
             else f"; as given, it is {given:.1%}"
             if np.isfinite(given)
             else "; as given, the position is never known"

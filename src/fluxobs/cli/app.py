@@ -40,11 +40,11 @@ HELP = """
 Estimate flux, rotor position, speed and drift from a drive's measured currents and voltages, which
 may have offsets.
 
-**Try it:**
+Try it:
 
     fluxobs demo
 
-**Your own log** (CSV, MDF, MAT, TDMS, …), with a machine file or the name of a shipped machine:
+Your own log (CSV, MDF, MAT, TDMS, …), with a machine file or the name of a shipped machine:
 
     fluxobs estimate LOG.csv --machine motor.toml --out estimates.parquet --report report.png
 
@@ -57,7 +57,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
+    rich_markup_mode=None,
     help=HELP,
 )
 

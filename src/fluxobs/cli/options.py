@@ -131,10 +131,10 @@ LAYOUT: dict[str, Any] = {
         typer.Option(
             parser=_lag,
             metavar="SAMPLES|auto",
-            help="Samples by which a row's voltage acts early. 0: the voltage acts from its row to "
-            "the next row; -1: one sample later (the usual computation delay); +1: one sample "
-            "earlier. Fractions are allowed. auto (default): `estimate`, `identify` and `check` "
-            "learn it from the log; other commands assume 0.",
+            help="When the voltage of a row acts. -1: from the next row on, as in most drives; 0: "
+            "from its row to the next row; +1: up to its row. Fractions are allowed. auto "
+            "(default): `estimate`, `identify`, `check` and `compare` learn it from the log; other "
+            "commands assume 0.",
         ),
     ],
     "held": Annotated[

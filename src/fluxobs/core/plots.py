@@ -62,4 +62,6 @@ def check_path(path: Path) -> None:
 
 def legend(axes: Axes, **options: Any) -> None:
     """Place the legend above the axes at the right, where the legend hides no data."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, ncols=2, **options)
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0, **({"ncols": 2} | options)
+    )

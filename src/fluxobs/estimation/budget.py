@@ -24,6 +24,8 @@ _GROUPS = [
 ]
 
 
+#: Advice that lowers σ by a smaller share is not worth a measurement.
+LEAST_GAIN = 0.1
 #: What makes the common scales of voltages and currents better known.
 CALIBRATE = "calibrate one voltage and one current against a reference"
 
@@ -182,8 +184,8 @@ class Budget:
     def advice(self) -> str:
         """What to measure next, and what it gains; empty without a valid row."""
         for contribution in self.contributions:
-            if contribution.remedy:
-                rest = np.sqrt(max(self.std**2 - contribution.std**2, 0.0))
+            rest = np.sqrt(max(self.std**2 - contribution.std**2, 0.0))
+            if contribution.remedy and rest < (1 - LEAST_GAIN) * self.std:
                 return (
                     f"{contribution.remedy}: σ {np.degrees(rest):.2g}° instead of "
                     f"{np.degrees(self.std):.2g}°"

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..core.arrays import Array
 from ..observers.adaptive import REASONS
+from ..smoothing.estimate import VALID_STD
 from .columns import EstimateRows
 from .quality import Quality
 from .truth import TruthSamples
@@ -36,6 +37,25 @@ class Series:
             name: np.concatenate([batch[name] for batch in self.batches])
             for name in self.batches[0]
         }
+
+
+def reasons_of(rows: EstimateRows) -> dict[str, int]:
+    """Return why rows have no valid position, with their number."""
+    if "valid_reason" in rows.columns:  # an observer that names its reasons
+        numbers = rows.columns["valid_reason"]
+        return {REASONS[n]: int((numbers == n).sum()) for n in range(1, len(REASONS))}
+    std = rows.columns.get("theta_e_std")
+    if std is None or "unexplained" not in rows.more:
+        return {}
+    lost, unexplained = ~rows.valid, rows.more["unexplained"] > 0
+    limit = f"σ above {np.degrees(VALID_STD):.0f}°"
+    return {
+        "contradicted by the model": int((lost & unexplained).sum()),
+        limit: int((lost & ~unexplained & ~(std < VALID_STD)).sum()),
+        "less than a turn between uncertain rows": int(
+            (lost & ~unexplained & (std < VALID_STD)).sum()
+        ),
+    }
 
 
 @dataclass
@@ -91,13 +111,9 @@ class Statistics:
             self.sums[name] = self.sums.get(name, 0.0) + float(values[valid].sum())
         if "quality" in rows.columns:
             self.quality.add(t, rows.columns["quality"])
-        if "valid_reason" in rows.columns:
-            reasons = rows.columns["valid_reason"]
-            for number in range(1, len(REASONS)):
-                with_reason = int((reasons == number).sum())
-                if with_reason:
-                    before = self.not_valid.get(REASONS[number], 0)
-                    self.not_valid[REASONS[number]] = before + with_reason
+        for reason, count_of in reasons_of(rows).items():
+            if count_of:
+                self.not_valid[reason] = self.not_valid.get(reason, 0) + count_of
         adapting = rows.more.get("adapting")
         if adapting is not None and adapting.any():
             row = int(np.flatnonzero(adapting)[-1])

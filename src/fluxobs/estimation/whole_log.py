@@ -456,7 +456,9 @@ class WholeLog:
         doubtful = record.outputs["doubtful"][first:last] > 0
         self.budget.add_stretches(rows.samples.t[first:last], doubtful)
         marked = replace(rows, samples=rows.samples._replace(marks=record.marks))
-        return self._columns(marked, estimates, first, last)
+        columns = self._columns(marked, estimates, first, last)
+        columns.more["unexplained"] = doubtful.astype(float)
+        return columns
 
     def _learn_window(
         self, model: SmoothingModel, rows: Anchored, anchors: NDArray[np.bool_]

@@ -73,17 +73,17 @@ class Examination(Check):
         if any(finding.kind in ("columns", "angle", "machine") for finding in self.mistakes):
             words = "the log is not read correctly; correct the findings above first"
             items.append(Item("parameters of the drive", "cannot be told", words))
-            return (*check_sampling(log, 0.0), *items)
+            return (*check_sampling(log, channels, 0.0), *items)
         result = self.run
         if result is None:
             words = "no estimate of this log is possible"
             items.append(Item("parameters of the drive", "cannot be told", words))
-            return (*check_sampling(log, 0.0), *items)
+            return (*check_sampling(log, channels, 0.0), *items)
         series = result.statistics.thin.columns()
         valid = series["valid"] > 0
         speed = float(abs(series["speed_e"][valid]).max()) if valid.any() else 0.0
         return (
-            *check_sampling(log, speed),
+            *check_sampling(log, channels, speed),
             *items,
             *learnt_items(result, self.cold_resistance),
             lag_item(result),

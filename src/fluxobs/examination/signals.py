@@ -32,15 +32,21 @@ def read_channels(log: Log) -> dict[str, Array]:
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 
-def check_sampling(log: Log, speed: float) -> list[Item]:
+def check_sampling(log: Log, channels: dict[str, Array], speed: float) -> list[Item]:
     """Return items on gaps, jitter, and the sample rate at the highest speed [rad/s]."""
     clock = log.clock
     items = []
-    if clock.missing:
-        share = clock.missing / clock.rows
-        words = f"{len(clock.at) - 1} gaps; the logger loses samples"
+    read = next(iter(channels.values()))
+    empty = int(np.any([np.isnan(values) for values in channels.values()], axis=0).sum())
+    if clock.missing or empty:
+        share = clock.missing / clock.rows + empty / len(read)
+        parts = [f"{len(clock.at) - 1} gaps in time"] if clock.missing else []
+        parts += [f"{empty} rows have an empty value"] if empty else []
+        words = f"{' and '.join(parts)}; the logger loses samples"
         verdict = flag_if(share > 1e-4)
-        items.append(Item("missing samples", verdict, words, float(clock.missing), None, "rows"))
+        items.append(
+            Item("missing samples", verdict, words, float(clock.missing + empty), None, "rows")
+        )
     else:
         items.append(Item("missing samples", "fine", "", 0.0, None, "rows"))
     if clock.jitter:

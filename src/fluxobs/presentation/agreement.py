@@ -33,6 +33,9 @@ HELD_BACK = 0.05
 #: A check's finding of another lag than stated stands if the whole log leans the same way, by this
 #: many standard deviations.
 LEANS = 0.9
+#: A stated lag is wrong if the lag that the log tells is another one, off by this many standard
+#: deviations.
+CONTRADICTED = 3.0
 #: A check changes a value if its logarithm is larger than this.
 CHANGED = 0.15
 
@@ -74,23 +77,27 @@ def _as_given(finding: Finding) -> Finding:
 def _agreed(finding: Finding, checked: Check, result: LogRun) -> Finding:
     if finding.kind == "scale" and finding.as_given and _all_told(result):
         return Finding("scale", RIGHT["scale"], True)
-    if finding.as_given and not finding.others:
-        return finding
     if finding.kind == "lag":
         return _agreed_lag(finding, result)
+    if finding.as_given and not finding.others:
+        return finding
     if finding.kind == "scale" and not finding.as_given and not _values_agree(checked, result):
-        return Finding("scale", RIGHT["scale"], True, (), "the whole log fits with the given ones")
+        return Finding("scale", RIGHT["scale"], True)
     return finding
 
 
 def _agreed_lag(finding: Finding, result: LogRun) -> Finding:
+    """Return what the whole log says about the lag, which knows more than the segments."""
     lag, decision = result.log.layout.lag, result.lag
     others: tuple[str, ...] = ()
     if decision is None:
         best, std = result.fractional_lag or (lag, 0.0)
+        nearest = round(best)
         leans = (best - lag) * np.sign(float(finding.words) - lag) if finding.words else 0.0
-        if finding.as_given or leans > LEANS * std:
+        if not finding.as_given and leans > LEANS * std:
             return finding
+        if nearest != lag and abs(best - lag) > CONTRADICTED * std:
+            return Finding("lag", signed(nearest), False)
     elif finding.as_given or float(finding.words) in decision.weights:
         others = tuple(
             signed(other)

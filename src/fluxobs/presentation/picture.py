@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -38,8 +38,8 @@ PARAMETERS = {
 }
 
 
-#: Height of a strip of marks, as a share of its panel.
-STRIP = 0.05
+#: Height of a strip of marks, as a share of its panel; its shortest length, as a share of the run.
+STRIP, STRIP_SHARE = 0.05, 0.002
 #: Colours of the layers of the budget, and of the strips of marks.
 LAYERS = (BLUE, ORANGE, "#3a9d6e", "#8e6bbf", "#c9a227", "0.75")
 #: Panels of every run; a run of the adaptive observer adds the panels of PARAMETERS.
@@ -142,7 +142,7 @@ def _draw(axes: Mapping[str, Axes], result: LogRun, fit: TruthFit | None) -> Non
                 _gaps(panel, result)
                 _marks(panel, result)
             case "speed":
-                _speed(panel, scored)
+                _speed(panel, scored, result.rotor.n_p)
             case "drift":
                 _drift(panel, scored)
             case "budget":
@@ -301,11 +301,13 @@ def _marks(axes: Axes, result: LogRun) -> None:
     """Draw a strip for each mark of a fault along the lower edge."""
     marked = result.statistics.quality.marked
     names = [mark.name for mark in MARKS if mark.fault and mark.name in marked]
+    statistics, h = result.statistics, result.log.sample_time
+    shortest = max(h, STRIP_SHARE * statistics.rows * h)  # a single row must be visible
     for n, name in enumerate(names):
         place = STRIP * (n + 0.5)
         for start, end in marked[name].stretches:
             axes.plot(
-                [start, max(end, start + result.log.sample_time)],
+                [start, max(end, start + shortest)],
                 [place, place],
                 transform=axes.get_xaxis_transform(),
                 color=LAYERS[n % len(LAYERS)],
@@ -346,8 +348,16 @@ def _error(axes: Axes, columns: dict[str, Array], fit: TruthFit | None = None) -
     legend(axes)
 
 
-def _speed(axes: Axes, columns: dict[str, Array]) -> None:
+def scaled(factor: float) -> Callable[[Any], Any]:
+    """Return a function that multiplies by a factor."""
+    return lambda values: factor * values
+
+
+def _speed(axes: Axes, columns: dict[str, Array], n_p: int) -> None:
     axes.plot(columns["t"], _blank_invalid(columns, "speed_e"), color=BLUE)
+    rpm = 30 / np.pi / n_p
+    right = axes.secondary_yaxis("right", functions=(scaled(rpm), scaled(1 / rpm)))
+    right.set_ylabel("rpm")
     axes.axhline(0, color=GREY, linewidth=0.5)
     axes.set_title("Speed")
     axes.set_ylabel("ω_e [rad/s]")
@@ -379,8 +389,8 @@ def _budget(axes: Axes, result: LogRun) -> None:
     layers = [factor * layer for layer in layers]
     total = np.sum(layers, axis=0)
     axes.stackplot(t, *layers, labels=names, colors=LAYERS, linewidth=0)
-    axes.set_ylim(0, 1.1 * float(np.nanpercentile(total, 95)))
-    legend(axes)
+    axes.set_ylim(0, 1.05 * float(np.nanmax(total)))
+    legend(axes, ncols=3)
 
 
 def _parameter(axes: Axes, name: str, columns: dict[str, Array], assumed: float) -> None:

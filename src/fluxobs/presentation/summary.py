@@ -90,14 +90,22 @@ def _position(result: LogRun, truth: TruthFit | None) -> list[Row]:
 
 
 def _not_valid(result: LogRun) -> list[Row]:
-    """Say why the observer of a drive held back its position."""
+    """Say why rows have no valid position."""
     rows, reasons = result.statistics.rows, result.statistics.not_valid
     shares = [
         f"{reason} {count / rows:.1%}"
         for reason, count in sorted(reasons.items(), key=lambda entry: -entry[1])
         if count >= LEAST_SHARE * rows
     ]
-    return [("  not valid", ", ".join(shares))] if shares else []
+    if not shares:
+        return []
+    columns = result.statistics.thin.columns()
+    lost = columns["valid"] == 0
+    if result.budget is not None and result.statistics.valid and lost.any():
+        speeds = RPM * np.abs(columns["speed_e"]) / result.rotor.n_p
+        there, usual = float(np.median(speeds[lost])), float(np.median(speeds[~lost]))
+        shares.append(f"median speed there {there:.0f} rpm, on valid rows {usual:.0f} rpm")
+    return [("  not valid", ", ".join(shares))]
 
 
 def _budget(result: LogRun) -> list[Row]:

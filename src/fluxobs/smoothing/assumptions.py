@@ -118,14 +118,14 @@ ITEMS = (
         ("L_d", "saturation_d"),
         "L_d_std (L_s_std, L_sigma_std) of the machine file; default 10 %: data sheets and "
         "saturation",
-        "identify the inductances with `fluxobs identify`, and state their standard deviations",
+        "measure the inductances under load, and state their standard deviations",
         ("L_d_std", "L_s_std", "L_sigma_std", "L_d"),
     ),
     Item(
         "L_q",
         ("L_q", "saturation_q"),
         "L_q_std of the machine file; default 10 %: data sheets and saturation",
-        "identify L_q with `fluxobs identify`, or give a flux map",
+        "measure L_q under load, and state L_q_std, or give a flux map",
         ("L_q_std", "L_q"),
     ),
     Item(
@@ -180,6 +180,8 @@ GIVEN: dict[str, tuple[tuple[str, ...], str]] = {
     "link_sag": (("link_sag",), "share at the rated current"),
     "iron_loss": (("iron_loss",), "share of the rated current"),
     "L_d": (("L_d",), "share"),
+    "L_s": (("L_d",), "share"),
+    "L_sigma": (("L_d",), "share"),
     "L_q": (("L_q",), "share"),
     "saturation": (("saturation_d", "saturation_q"), "1"),
     "harmonics": (("fifth", "seventh"), "share"),

@@ -25,7 +25,9 @@ def channels(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the columns of a log with their unit, rate, range, first values and channel.
+    """List the columns of a log.
+
+    Shows unit, rate, range, first values and channel of each column.
 
     Example: fluxobs channels LOG.csv
     """

@@ -41,7 +41,7 @@ def compare(
     ] = 0.2,
     force: ForceOption = False,
 ) -> None:
-    """Run all built-in observers on a log or scenario and score their errors.
+    """Score all built-in observers on a log or scenario.
 
     Each observer runs with recommended gains, and with the best gains of a grid for this record.
 

@@ -16,7 +16,7 @@ def demo(
         "fluxobs-demo"
     ),
 ) -> None:
-    """Run `fluxobs estimate` on a servo motor's log that ships with the package."""
+    """Run `fluxobs estimate` on the log of a servo motor."""
     from ... import estimate as run
     from ...core.output import make_folder
     from ...simulation.closed_form.demo import MACHINE, demo_log

@@ -81,7 +81,7 @@ def estimate(
         typer.Option(
             "--causal",
             help="Estimate and learn only from past samples, as firmware does. Default: estimate "
-            "each row from the record before and behind it.",
+            "each row from the rows before and after it.",
         ),
     ] = False,
     prior: PriorOption = None,
@@ -115,7 +115,7 @@ def estimate(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate flux, position, speed and drift from one recorded log or many.
+    """Estimate flux, position and speed from recorded logs.
 
     Prints a summary with the error budget of the position. --out writes one row per sample, in SI
     units and electrical radians: t, flux_alpha, flux_beta, psi_f, theta_e, speed_e, drift_alpha,
@@ -231,9 +231,9 @@ def show_result(result: Result, machine: str, written: Sequence[Path]) -> None:
         return
     command = result.export_command(machine)
     if command is not None:
-        prefix = "The same observer for firmware"
+        prefix = "This observer for firmware"
         if result.adaptive is not None and not result.causal:
-            prefix += " (it learns only from past samples)"
+            prefix = "For firmware (it knows only the past: --causal shows what that costs)"
         show.say(f"{prefix}: {command}")
     elif result.firmware is not None:
         show.say(result.firmware)

@@ -68,11 +68,12 @@ def export(
     ] = "c",
     force: Annotated[bool, typer.Option("--force", help="Overwrite an earlier export.")] = False,
 ) -> None:
-    """Export the observer of one machine as C99 for firmware, or for another host (--as).
+    """Export the observer of one machine for firmware.
 
-    The folder contains the sources, the machine's parameters, an example interrupt, and test
-    vectors; `make test` in the folder replays the vectors on this computer. The export computes the
-    same estimates as `fluxobs estimate`, sample by sample.
+    The folder contains the observer in C99 (or in the form for another host: --as), the machine's
+    parameters, an example interrupt, and test vectors. `make test` in the folder replays the
+    vectors on this computer. The export computes the same estimates as `fluxobs estimate
+    --causal`, sample by sample.
 
     Example: fluxobs export --machine motor.toml --sample-time 5e-5 --out firmware/motor
     """

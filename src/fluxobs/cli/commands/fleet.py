@@ -38,7 +38,9 @@ def fleet(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Track the parameters of many drives over time; report changes, trends and exceeded limits.
+    """Track the parameters of many drives over time.
+
+    Reports changes, trends and exceeded limits.
 
     A drive is named after the folder of its logs, or by `fluxobs estimate … --drive`. The time of a
     log is the date in its name, or else the time of its file. Exit code 1: a drive exceeds a limit,

@@ -62,7 +62,7 @@ def identify(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Identify the machine's parameters and the inverter's voltage loss from one log or many.
+    """Identify the machine's parameters from one log or many.
 
     Prints each parameter with its standard deviation; values and deviations are those of `fluxobs
     estimate`. --free adds inductances, a flux map, or the rotor of a cage. Parameters that the log

@@ -82,7 +82,7 @@ def live(
     prior: PriorOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Estimate position, speed, drift and parameters from a stream while it arrives.
+    """Estimate from a stream while it arrives.
 
     Opens a browser page that plots the last seconds; no data leave this computer. With --text,
     shows the estimates in the terminal. Ctrl-C ends the command.

@@ -8,7 +8,7 @@ from .. import show
 
 
 def machines() -> None:
-    """List the machines that ship with the package; --machine accepts their names."""
+    """List the shipped machines: --machine accepts their names."""
     from ...machines import example, example_names, example_text
 
     for name in example_names():

@@ -18,7 +18,7 @@ def page(
     ] = None,
     force: ForceOption = False,
 ) -> None:
-    """Open the estimator as a page in the browser, or write the page to a file.
+    """Open the estimator in the browser, or write its page.
 
     The page is one HTML file that works offline: drop a log on it, choose the machine, see the
     results of `fluxobs estimate` and `fluxobs check`, and vary parameters. No data leave the

@@ -14,7 +14,7 @@ def presets(
         str | None, typer.Argument(help="Preset to print, as a template for your own record file.")
     ] = None,
 ) -> None:
-    """List the presets (layouts of the logs of known tools) for --preset NAME.
+    """List the presets, the layouts of the logs of known tools.
 
     Example: fluxobs presets mesc > my-tool.toml
     """

@@ -32,9 +32,10 @@ def reproduce(
     ] = False,
     force: ForceOption = False,
 ) -> None:
-    """Reproduce Section V of the paper: as printed, corrected, and extended.
+    """Reproduce Section V of the paper.
 
-    Writes report.html (and .md), numbers.json and figures (PNG, and SVG unless --quick).
+    As printed, corrected, and extended. Writes report.html (and .md), numbers.json and figures
+    (PNG, and SVG unless --quick).
 
     Needs the extra "design" (JAX).
     """
