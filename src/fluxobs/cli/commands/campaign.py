@@ -73,9 +73,9 @@ def campaign(
     """Simulate thousands of drives within their tolerances.
 
     Reports the share of good estimates. Writes a dataset (one row per scenario and observer),
-    report.html, and the worst scenarios with their records. The same command resumes a run that was stopped or killed. Exit code 1: a limit
-    of the specification is missed, or no scenario could be simulated. Needs the extra "design"
-    (JAX); Dask needs the extra "cluster".
+    report.html, and the worst scenarios with their records. The same command resumes a run that was
+    stopped or killed. Exit code 1: a limit of the specification is missed, or no scenario could be
+    simulated. Needs the extra "design" (JAX); Dask needs the extra "cluster".
 
     Example: fluxobs campaign product.toml --out product
     """
