@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -28,12 +28,12 @@ from common import degrees_error, heading
 import fluxobs
 from fluxobs.campaigns.draws import Scenario
 from fluxobs.campaigns.drives import drive_of
-from fluxobs.campaigns.simulated import select_scored
+from fluxobs.campaigns.simulated import ScoredTrace, select_scored
 from fluxobs.campaigns.specification import Specification
 from fluxobs.core.arrays import Array
 from fluxobs.errors import FluxobsError
 from fluxobs.machines import example
-from fluxobs.simulation.drive.simulate import check, simulate_lanes, substeps
+from fluxobs.simulation.drive.simulate import Trace, check, simulate_lanes, substeps
 
 MACHINES = (
     *("servo-400w", "drone-900kv", "pmsm-2kw2", "ipm-2kw2", "ipm-5kw6"),
@@ -61,6 +61,20 @@ class Drive:
     lag: float
     resistance: float
     psi: float
+    torque: Array
+    mechanics: tuple[float, float, float]
+
+
+class Simulated(NamedTuple):
+    """What is kept of a simulation."""
+
+    scored: ScoredTrace
+    torque: Any
+
+
+def select(row: Trace) -> Simulated:
+    """Return the scored quantities and the torque of a row."""
+    return Simulated(select_scored(row), row.torque)
 
 
 @dataclass(frozen=True)
@@ -172,7 +186,7 @@ def simulated(
     h = float(lanes[0][0].sample_time)
     rows = round(DURATION / h)
     noise = np.stack([scenario.generator(2).standard_normal((rows, 3)) for scenario in scenarios])
-    finished, trace = simulate_lanes(lanes, noise, max(steps), select_scored, 30)
+    finished, (trace, torque) = simulate_lanes(lanes, noise, max(steps), select, 30)
     found = []
     for n in range(len(lanes)):
         if not finished[n] or trace.tripped[n].any():
@@ -191,7 +205,14 @@ def simulated(
         if machine == "induction-2kw2":
             psi = np.nan  # a cage's flux moves
         theta = np.array(trace.theta_e[n])
-        found.append(Drive(machine, course, h, voltage, current, theta, lag, resistance, psi))
+        plant = lanes[n][0].plant.mechanics
+        mechanics = float(plant.J), float(plant.viscous), float(plant.coulomb)
+        found.append(
+            Drive(
+                *(machine, course, h, voltage, current, theta, lag, resistance, psi),
+                *(np.array(torque[n]), mechanics),
+            )
+        )
     return found
 
 

@@ -133,7 +133,7 @@ def test_a_known_quantity_leaves_the_budget(samples):
 def test_nothing_is_advised_that_is_stated_already(samples):
     columns = log_columns(samples)
     advised = fluxobs.estimate(columns, SERVO, lag=0).budget.advice
-    assert "identify the inductances" in advised
+    assert "measure the inductances" in advised
     stated = SERVO.with_values(L_s_std=0.1 * SERVO.L_s)
     assert "inductances" not in fluxobs.estimate(columns, stated, lag=0).budget.advice
 

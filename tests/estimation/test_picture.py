@@ -154,7 +154,7 @@ def test_errors_are_against_the_corrected_truth():
 
 
 def test_speed_and_drift_of_valid_rows(axes):
-    picture._speed(axes, SERIES)
+    picture._speed(axes, SERIES, 4)
     _, y = line(axes)
     np.testing.assert_array_equal(y[ROWS_VALID], SERIES["speed_e"][ROWS_VALID])
     assert np.isnan(y[~ROWS_VALID]).all()

@@ -397,7 +397,8 @@ function download(name, parts, type) {
 $("save-csv").addEventListener("click", () => {
   const columns = results.first, // with the given values, not those of the sliders
     drawn = (name) =>
-      !/ [+-]$|^[iu]_/.test(name) && !["truth", "raw", "innovation", "adapting"].includes(name),
+      !/ [+-]$|^[iu]_/.test(name) &&
+      !["truth", "raw", "innovation", "adapting", "unexplained"].includes(name),
     names = Object.keys(columns).filter(drawn),
     parts = [`${names.join(",")}\n`];
   const flags = names.map((name) => name === "valid"),

@@ -8,6 +8,7 @@ from typing import Any
 from ..machines import RotatingMachine
 from ..presentation import Result
 from .map_fit import FoundMap
+from .mechanics import Mechanics
 from .segment_fit import SegmentFit
 from .values import Parameter, in_the_file
 
@@ -34,6 +35,8 @@ class FittedParameters:
         The estimate that identified the parameters; None for many logs, and for a map or a rotor.
     segment_fit : SegmentFit, optional
         The fit of a map or a rotor.
+    mechanics : Mechanics, optional
+        Inertia, friction and load, if `free` names one of these.
     """
 
     machine: RotatingMachine
@@ -44,6 +47,7 @@ class FittedParameters:
     source: str
     run: Result | None
     segment_fit: SegmentFit | None
+    mechanics: Mechanics | None = None
 
     @property
     def map(self) -> FoundMap | None:

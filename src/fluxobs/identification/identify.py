@@ -8,9 +8,11 @@ have their own fit to segments of the logs.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..core.validation import nearest
 from ..errors import FluxobsError
@@ -24,6 +26,8 @@ from ..presentation import Result, estimate
 from ..presentation.agreement import explains, fits
 from ..presentation.warnings import misfit_warnings
 from .fit_result import FittedParameters
+from .mechanics import UNITS as MECHANICAL_UNITS
+from .mechanics import Mechanics, identify_mechanics
 from .report import figure, html_of, lines, write
 from .rotor_resistance import resistance_from_speed
 from .segment_fit import MAP, ROTOR, ConstantFlux, SegmentFit, fit_segments
@@ -43,6 +47,8 @@ FREE_INDUCTANCE = 0.5
 #: Largest standard deviation of an identifiable lag [samples]: half of what is assumed of a stated
 #: lag.
 LAG_UNSURE = 0.125
+#: Names of the mechanical parameters, and the name in `free` of both parts of the friction.
+MECHANICS, FRICTION = tuple(MECHANICAL_UNITS), "friction"
 #: Name in `free` → name among the parameters of an estimate.
 LEARNT = {"R_s": "resistance", "psi_f": "magnet flux", "inverter": "inverter"}
 
@@ -84,7 +90,7 @@ def free_names(machine: RotatingMachine) -> tuple[str, ...]:
     fit = machine.saturation
     inductances = () if fit is not None and fit.table is not None else machine.inductance_names
     specific = (MAP,) if saturates else ROTOR if machine.flux_moves else ()
-    return ("R_s", *inductances, *magnet, *specific, "inverter", "lag")
+    return ("R_s", *inductances, *magnet, *specific, "inverter", "lag", *MECHANICS)
 
 
 def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tuple[str, ...]:
@@ -103,6 +109,8 @@ def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tup
     requested = free.split(",") if isinstance(free, str) else free
     names = [name.strip() for name in requested if name.strip()]
     names = ["inverter" if name == "inverter_voltage" else name for name in names]
+    if FRICTION in names:
+        names = [*(name for name in names if name != FRICTION), *MECHANICS[1:]]
     if MAP in names and any(name in machine.inductance_names for name in names):
         raise FluxobsError(f"free: {MAP} already contains the inductances; leave them out")
     if "psi_R" in names and any(name in ROTOR for name in names):
@@ -141,7 +149,8 @@ def identify(
     machine : Machine, path, name of a shipped machine, or mapping of a machine file
         A rotating machine; its values must be right within a factor of about two.
     free : str or sequence of str, optional
-        Any of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, L_M, inverter, lag;
+        Any of R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, R_R, L_M, inverter, lag, J,
+        viscous, coulomb; friction means both viscous and Coulomb friction;
         default: R_s, psi_f and inverter, if the machine has these parameters. R_R and L_M of a cage
         need a log in which the rotor flux changes; R_R can also be found from the slip if the log
         has the speed. "map" means the saturation parameters of :class:`AlgebraicSaturation`; the
@@ -193,13 +202,26 @@ def identify_log(
     if run is None and any(name not in ROTOR for name in free):
         run = _estimated(log, machine, free, priors, progress)
     told = {} if run is None else _learnt(run, machine, free)
+    mechanics = None
+    if run is not None and any(name in MECHANICS for name in free):
+        try:
+            mechanics = mechanics_of(run, dict(priors or {}).get("load", np.inf))
+        except FluxobsError as error:
+            reasons |= dict.fromkeys((name for name in free if name in MECHANICS), str(error))
+        else:
+            for name in free:
+                if name in MECHANICS and mechanics.identifies(name):
+                    told[name] = mechanics.values[name], mechanics.stds[name]
+                elif name in MECHANICS:
+                    reasons[name] = _open_friction(name, mechanics)
     if slip is not None:
         told["R_R"] = slip
     if run is not None:
         reasons |= {n: _why_not(run, n) for n in free if n not in told and n not in reasons}
     name, rows = log.path.name, len(log)
     lag = log.layout.lag if log.layout.lag_stated else None
-    return _identification(machine, free, told, reasons, (lag, rows, name), run)
+    found = _identification(machine, free, told, reasons, (lag, rows, name), run)
+    return replace(found, mechanics=mechanics)
 
 
 def combine(
@@ -229,6 +251,34 @@ def combine(
     return _identification(machine, free, values, reasons, about, None)
 
 
+def mechanics_of(result: Result, load_std: float = np.inf) -> Mechanics:
+    """Identify inertia, friction and load from an estimate that kept its rows.
+
+    `load_std` is the prior standard deviation of the load [N m].
+
+    Raises
+    ------
+    FluxobsError
+        Too few rows are valid, or the torque does not accelerate the drive.
+    """
+    machine, t, valid = result.rotor, result["t"], result["valid"]
+    if machine.flux_moves:  # theta_e is the angle of the rotor's flux
+        speed = np.where(valid, result["speed_mech"], 0.0)
+        theta = np.concatenate([[0.0], np.cumsum(np.diff(t) * (speed[1:] + speed[:-1]) / 2)])
+    else:
+        theta = np.unwrap(result["theta_e"]) / machine.n_p
+    return identify_mechanics(t, theta, result["torque"], result["torque_std"], valid, load_std)
+
+
+def _open_friction(name: str, mechanics: Mechanics) -> str:
+    """Say why a mechanical parameter is open."""
+    std, unit = mechanics.stds[name], MECHANICAL_UNITS[name]
+    return (
+        f"σ would be {std:.2g} {unit}; record the drive at several speeds in both directions "
+        f"without load, and state --prior load=0"
+    )
+
+
 def _has_speed(log: Log) -> bool:
     return log.truth is not None and log.truth[0] == "speed_mech"
 
@@ -250,7 +300,8 @@ def _estimated(
     names = machine.inductance_names
     axes = ("L_d",) if len(names) == 1 else ("L_d", "L_q")
     wide = {axis: FREE_INDUCTANCE for axis, name in zip(axes, names, strict=True) if name in free}
-    result = estimate(log, machine, keep=False, priors=wide | dict(priors or {}), progress=progress)
+    keep = any(name in MECHANICS for name in free)
+    result = estimate(log, machine, keep=keep, priors=wide | dict(priors or {}), progress=progress)
     if fits(result):
         return result
     why = [*misfit_warnings(result), *result.warnings, "the position is never known"][0]
@@ -346,7 +397,7 @@ def _identification(
         {
             "inverter_voltage" if name == "inverter" else name: value
             for name, value in told.items()
-            if name != "lag"
+            if name not in ("lag", *MECHANICS)
         },
     )
     if "inverter" in told and run is not None and run.adaptive is not None:

@@ -16,12 +16,15 @@ from ..logs.record import signed
 from ..machines.saving import write_machine
 from .fit_result import FittedParameters
 from .map_fit import FoundMap
+from .mechanics import NOT_RIGID, Mechanics
 from .segment_fit import SegmentFit
 from .values import ADVICE, Parameter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from ..presentation import Result
 
 
 def lines(fit: FittedParameters) -> list[str]:
@@ -41,6 +44,10 @@ def lines(fit: FittedParameters) -> list[str]:
             )
     if fit.map is not None:
         sentences += fit.map.lines()
+    if fit.run is not None:
+        sentences += constants(fit.run)
+    if fit.mechanics is not None:
+        sentences += _describe_mechanics(fit.mechanics)
     if fit.untold:
         sentences.append(
             f"This log cannot identify {', '.join(fit.untold)}: held at the given value; the "
@@ -53,6 +60,42 @@ def lines(fit: FittedParameters) -> list[str]:
         sentences.append(
             f"The position is valid on {statistics.valid / statistics.rows:.1%} of the rows; "
             f"lag {signed(fit.lag)}"
+        )
+    return sentences
+
+
+def constants(run: Result) -> list[str]:
+    """Return the constants of a data sheet that follow from the magnet flux, with definitions.
+
+    The flux ψ of a phase is a peak value. The peak voltage between two terminals is √3 n_p ψ ω, and
+    the torque of a current with the peak value î along q is 3/2 n_p ψ î.
+    """
+    machine, learnt = run.rotor, run.learnt
+    if not machine.magnets or learnt is None or not run.statistics.valid:
+        return []
+    share, emf = learnt.psi_f_std / learnt.psi_f, machine.n_p * learnt.psi_f
+    K_e, K_t, K_V = 3**0.5 * emf, 1.5 * emf, 30 / np.pi / (3**0.5 * emf)
+    return [
+        f"K_e = {K_e:.4g} ± {share * K_e:.2g} V s/rad (line to line, peak), "
+        f"{emf:.4g} V s/rad (phase, peak)",
+        f"K_t = {K_t:.4g} ± {share * K_t:.2g} N m/A (phase current, peak), "
+        f"{2**0.5 * K_t:.4g} N m/A (rms)",
+        f"K_V = {K_V:.4g} ± {share * K_V:.2g} rpm/V (line to line, peak), "
+        f"{2**0.5 * K_V:.4g} rpm/V (rms)",
+    ]
+
+
+def _describe_mechanics(mechanics: Mechanics) -> list[str]:
+    """Return lines on the load, and a warning if the drive is not rigid."""
+    load = mechanics.load
+    sentences = [
+        f"The load is {load.min():.3g} to {load.max():.3g} N m, "
+        f"± {np.median(mechanics.load_std):.2g} N m"
+    ]
+    if abs(mechanics.elastic) > NOT_RIGID:
+        sentences.append(
+            f"Warning: short and long segments disagree on J by {abs(mechanics.elastic):.1f} σ: "
+            f"the shaft is elastic, a coupling has play, or the load depends on the angle"
         )
     return sentences
 

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..machines import RotatingMachine
+from .mechanics import UNITS as MECHANICS
 
 UNITS = {"R_s": "Ω", "R_R": "Ω", "psi_f": "Wb", "psi_R": "Wb", "inverter": "V", "lag": "samples"}
+UNITS |= MECHANICS
 UNITS |= dict.fromkeys(("L_s", "L_d", "L_q", "L_sigma", "L_M"), "H")
 ADVICE = (
     "Record a log with steps of load at several speeds, a run-up from standstill, or both "
@@ -34,12 +36,14 @@ def in_the_file(parameters: Iterable[Parameter]) -> dict[str, tuple[float, float
     return {
         "inverter_voltage" if p.name == "inverter" else p.name: (p.value, p.std)
         for p in parameters
-        if p.std is not None and p.name != "lag"
+        if p.std is not None and p.name not in ("lag", *MECHANICS)
     }
 
 
 def given_value(machine: RotatingMachine, name: str) -> float | None:
-    """Return the value of a parameter in the machine file."""
+    """Return the value of a parameter in the machine file, which has no mechanics."""
+    if name in MECHANICS:
+        return None
     value: float | None = getattr(machine, "inverter_voltage" if name == "inverter" else name)
     return value
 

@@ -98,6 +98,8 @@ def _agreed_lag(finding: Finding, result: LogRun) -> Finding:
             return finding
         if nearest != lag and abs(best - lag) > CONTRADICTED * std:
             return Finding("lag", signed(nearest), False)
+        if finding.as_given and finding.others:
+            return finding  # the estimate did not try these
     elif finding.as_given or float(finding.words) in decision.weights:
         others = tuple(
             signed(other)

@@ -188,6 +188,7 @@ GIVEN: dict[str, tuple[tuple[str, ...], str]] = {
     "tilt": (("tilt",), "rad"),
     "R_R": (("R_R",), "share"),
     "L_M": (("L_M",), "share"),
+    "load": ((), "N m"),
     "voltage_scale": ((), "1"),
     "current_scale": ((), "1"),
 }

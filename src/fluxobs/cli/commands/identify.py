@@ -43,7 +43,8 @@ def identify(
         str | None,
         typer.Option(
             help="Parameters to identify: R_s, L_s (or L_d, L_q; L_sigma), psi_f (psi_R), map, "
-            "R_R, L_M, inverter, lag. map: the saturation of the machine. R_R, L_M: the cage of an "
+            "R_R, L_M, inverter, lag, J, friction (viscous, coulomb). map: the saturation of the "
+            "machine. J: the inertia of the drive. R_R, L_M: the cage of an "
             "induction machine, identifiable if the flux changes; R_R also with --truth "
             "speed_mech=COLUMN. Default R_s,psi_f,inverter, if the machine has them. Other "
             "parameters keep their values."
