@@ -118,6 +118,15 @@ def test_rows_that_are_not_valid_are_not_used():
     assert found.values["J"] == pytest.approx(J, rel=0.03)
 
 
+def test_lost_samples_are_bridged():
+    t, theta, torque, _ = driven(3, load=0.0)
+    valid = np.random.default_rng(1).random(len(t)) > 0.01
+    found = identified(
+        t, np.where(valid, theta, np.nan), np.where(valid, torque, np.nan), valid=valid
+    )
+    assert found.values["J"] == pytest.approx(J, rel=0.03)
+
+
 def test_too_few_rows():
     t, theta, torque, _ = driven(0)
     valid = t < 0.2

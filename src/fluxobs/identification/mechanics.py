@@ -37,6 +37,8 @@ OUTLIER = 4.0
 TELLING = 25.0
 #: Range and number of the inertias from which the search starts: a step is 1 %.
 RANGE, GRID = 30.0, 700
+#: Gaps of at most this many rows are interpolated.
+BRIDGED = 5
 #: Fewest segments that do not overlap.
 LEAST_SEGMENTS = 5
 #: Segments of these durations give the same inertia in a rigid drive, relative to SEGMENT.
@@ -176,6 +178,21 @@ def integral(values: Array, step: float) -> Array:
     """Return the integral from the first point of each segment."""
     trapezes = step * (values[:, 1:] + values[:, :-1]) / 2
     return np.concatenate([np.zeros((len(values), 1)), np.cumsum(trapezes, axis=1)], axis=1)
+
+
+def bridged(valid: NDArray[np.bool_], *signals: Array) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Interpolate signals over gaps of at most BRIDGED rows, where samples were lost."""
+    rows = np.arange(len(valid))
+    known = np.flatnonzero(valid)
+    if not len(known):
+        return valid, *signals
+    last = np.maximum.accumulate(np.where(valid, rows, -len(rows)))
+    following = np.minimum.accumulate(np.where(valid, rows, 3 * len(rows))[::-1])[::-1]
+    filled = valid | (following - last <= BRIDGED + 1)
+    theta, torque = (
+        np.where(valid, signal, np.interp(rows, known, signal[known])) for signal in signals
+    )
+    return np.asarray(filled), np.asarray(theta), np.asarray(torque)
 
 
 def student(squares: Array, scale: float) -> Array:
@@ -375,6 +392,7 @@ def identify_mechanics(
     FluxobsError
         Too few rows are valid, or the torque does not accelerate the drive.
     """
+    valid, theta, torque = bridged(valid, theta, torque)
     signals = t, theta, torque, valid
     J, J_std = inertia(cut(*signals, SEGMENT, OVERLAP), OVERLAP)
     others = []
@@ -394,9 +412,10 @@ def identify_mechanics(
     values = {"J": J + correction, "viscous": viscous, "coulomb": coulomb}
     stds = np.sqrt(np.diag(solution.covariance))[[2, 0, 1]]
     # A common scale of the torque scales every parameter.
-    size = np.abs(torque[valid])
+    sure = valid & np.isfinite(torque_std)
+    size = np.abs(torque[sure])
     loaded = size > LOADED * size.max()
-    scale = float(np.median(torque_std[valid][loaded] / size[loaded]))
+    scale = float(np.median(torque_std[sure][loaded] / size[loaded]))
     return Mechanics(
         values,
         {

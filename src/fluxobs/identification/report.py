@@ -17,6 +17,7 @@ from ..machines.saving import write_machine
 from .fit_result import FittedParameters
 from .map_fit import FoundMap
 from .mechanics import NOT_RIGID, Mechanics
+from .mechanics import UNITS as MECHANICS
 from .segment_fit import SegmentFit
 from .values import ADVICE, Parameter
 
@@ -32,7 +33,9 @@ def lines(fit: FittedParameters) -> list[str]:
     sentences = []
     for parameter in fit.parameters:
         given_text = "not given" if parameter.given is None else f"given {parameter.given:.4g}"
-        if parameter.std is None:
+        if parameter.std is None and parameter.given is None and parameter.name in MECHANICS:
+            sentences.append(f"{parameter.name} is open: {fit.untold[parameter.name]}")
+        elif parameter.std is None:
             sentences.append(
                 f"{parameter.name} held at {parameter.value:.4g} {parameter.unit}: "
                 f"{fit.untold[parameter.name]}"
@@ -48,9 +51,10 @@ def lines(fit: FittedParameters) -> list[str]:
         sentences += constants(fit.run)
     if fit.mechanics is not None:
         sentences += _describe_mechanics(fit.mechanics)
-    if fit.untold:
+    held = [name for name in fit.untold if name not in MECHANICS]
+    if held:
         sentences.append(
-            f"This log cannot identify {', '.join(fit.untold)}: held at the given value; the "
+            f"This log cannot identify {', '.join(held)}: held at the given value; the "
             f"other values depend on it. {ADVICE}."
         )
     if fit.segment_fit is not None:
