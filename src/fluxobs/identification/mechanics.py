@@ -180,18 +180,19 @@ def integral(values: Array, step: float) -> Array:
     return np.concatenate([np.zeros((len(values), 1)), np.cumsum(trapezes, axis=1)], axis=1)
 
 
-def bridged(valid: NDArray[np.bool_], *signals: Array) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Interpolate signals over gaps of at most BRIDGED rows, where samples were lost."""
+def bridged(
+    valid: NDArray[np.bool_], theta: Array, torque: Array
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Interpolate angle and torque over gaps of at most BRIDGED rows, where samples were lost."""
     rows = np.arange(len(valid))
     known = np.flatnonzero(valid)
     if not len(known):
-        return valid, *signals
+        return valid, theta, torque
     last = np.maximum.accumulate(np.where(valid, rows, -len(rows)))
     following = np.minimum.accumulate(np.where(valid, rows, 3 * len(rows))[::-1])[::-1]
     filled = valid | (following - last <= BRIDGED + 1)
-    theta, torque = (
-        np.where(valid, signal, np.interp(rows, known, signal[known])) for signal in signals
-    )
+    theta = np.where(valid, theta, np.interp(rows, known, theta[known]))
+    torque = np.where(valid, torque, np.interp(rows, known, torque[known]))
     return np.asarray(filled), np.asarray(theta), np.asarray(torque)
 
 
