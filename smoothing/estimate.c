@@ -178,7 +178,7 @@ static void spread_of(const fo_work *w, const fo_assumed *l, const fo_smoothed *
                               fo_flux_walk(w, l->p, b) / window;
     out->speed += speed_noise + speed_walk;
     add_rest(of[FO_OF_SPEED], speed_walk, speed_noise);
-    /* Flux and torque. The torque is λ × i. */
+    /* Flux and torque. The torque is λ × i, without the current of the iron loss. */
     const vec i = about->current_still;
     for (int n = 0; n < 2; n++) {
         for (size_t j = 0; j < P; j++) {
@@ -198,6 +198,7 @@ static void spread_of(const fo_work *w, const fo_assumed *l, const fo_smoothed *
         case FO_P_offset_beta: current = vec_of(0.0, -1.0); break;
         case FO_P_current_gain_re: current = times(-1.0, conjugate(i)); break;
         case FO_P_current_gain_im: current = times(-1.0, turned(conjugate(i))); break;
+        case FO_P_iron_loss: current = times(-about->speed, turned(about->flux)); break;
         default: break;
         }
         column[j] = flux.re * i.im - flux.im * i.re + about->flux.re * current.im -
@@ -269,7 +270,8 @@ static void write_rows(const fo_work *w, const fo_assumed *l, const fo_smoothed 
         SET(theta_e_std, sqrt(fmax(MIX(angle) + MIX(noise), 0.0)));
         SET(speed_e, rows[k].speed);
         SET(speed_e_std, sqrt(fmax(MIX(speed), 0.0)));
-        SET(torque, rows[k].flux.re * i.im - rows[k].flux.im * i.re);
+        SET(torque, rows[k].flux.re * i.im - rows[k].flux.im * i.re -
+                        rows[k].speed * l->p[FO_P_iron_loss] * dot(rows[k].flux, rows[k].flux));
         SET(torque_std, sqrt(fmax(MIX(torque), 0.0)));
         SET(drift_alpha, STATE(DRIFT));
         SET(drift_beta, STATE(DRIFT + 1));
