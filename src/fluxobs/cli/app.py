@@ -31,6 +31,7 @@ from .commands.machines import machines
 from .commands.page import page
 from .commands.presets import presets
 from .commands.reproduce import reproduce
+from .commands.score import score
 from .options import REPEATED
 from .show import Stopped, echo
 
@@ -79,7 +80,7 @@ def _options(
 
 
 COMMANDS = (
-    *(estimate, check, channels, identify, fleet, compare, campaign, export),
+    *(estimate, check, channels, identify, fleet, compare, score, campaign, export),
     *(live, page, machines, presets, demo, reproduce),
 )
 for command in COMMANDS:

@@ -1,0 +1,126 @@
+"""Simulated drives with known position, speed and torque."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..campaigns.draws import Scenario
+from ..campaigns.drives import drive_of
+from ..campaigns.simulated import ScoredTrace, select_scored
+from ..campaigns.specification import Specification
+from ..comparison.scoring import true_speed
+from ..core.arrays import Array
+from ..errors import FluxobsError
+from ..machines import example, rotating
+from ..simulation.drive.simulate import Trace, check, simulate_lanes, substeps
+from .draws import COURSES, MACHINES, Draw
+
+#: Duration of a record [s].
+DURATION = 2.5
+#: Share of the rows that half of the loggers lose, at most.
+LOST = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A simulated log with its truth; vectors are complex, α + j β.
+
+    Attributes
+    ----------
+    machine, course : str
+    sample_time : float
+        [s].
+    voltage, current : (rows,) ndarray
+        Commanded voltage from the row on [V], measured current [A]; NaN where the logger lost it.
+    theta, speed_e, torque : (rows,) ndarray
+        Electrical position [rad] and speed [rad/s], torque [N m].
+    mechanics : (float, float, float)
+        J [kg m²], viscous [N m s/rad] and Coulomb friction [N m].
+    values : dict
+        The errors, as quantities of a campaign.
+    """
+
+    machine: str
+    course: str
+    sample_time: float
+    voltage: Array
+    current: Array
+    theta: Array
+    speed_e: Array
+    torque: Array
+    mechanics: tuple[float, float, float]
+    values: dict[str, float]
+
+
+class _Kept(NamedTuple):
+    """What is kept of a simulation."""
+
+    scored: ScoredTrace
+    torque: Any
+
+
+def _select(row: Trace) -> _Kept:
+    return _Kept(select_scored(row), row.torque)
+
+
+def simulated(machine: str, course: str, drives: int, seed: int, draw: Draw) -> list[Drive]:
+    """Return drives of a shipped machine on a course; those that trip or diverge are left out.
+
+    Parameters
+    ----------
+    draw : callable
+        Draws the errors of a drive.
+    """
+    place = [seed, MACHINES.index(machine), list(COURSES).index(course)]
+    rng = np.random.default_rng(place)
+    specification = Specification.model_validate(
+        {
+            **{"name": "benchmark", "seed": seed, "scenarios": drives, "machines": [machine]},
+            **{"loop": "open", "observers": ["plain"], "vary": {}},
+            "course": {
+                **{"duration": DURATION, "score_from": 0.0, "loads": [-0.8, 0.8], "ramp": 0.4},
+                **{"segment": [0.3, 0.9], **COURSES[course]},
+            },
+        }
+    )
+    lanes, scenarios, steps = [], [], []
+    for n in range(drives):
+        values = draw(rng, machine)
+        scenario = Scenario(1000 * place[2] + n, specification.machines[0], values, seed)
+        try:
+            lane = drive_of(specification, scenario)
+            check(*lane)
+            steps.append(substeps(*lane))
+        except FluxobsError:  # the drive cannot reach this speed or load
+            continue
+        lanes.append(lane)
+        scenarios.append(scenario)
+    if not lanes:
+        return []
+    h = float(lanes[0][0].sample_time)
+    rows = round(DURATION / h)
+    noise = np.stack([scenario.generator(2).standard_normal((rows, 3)) for scenario in scenarios])
+    finished, (trace, torque) = simulate_lanes(lanes, noise, max(steps), _select, 30)
+    model = rotating(example(machine), "a benchmark")
+    found = []
+    for n in range(len(lanes)):
+        if not finished[n] or trace.tripped[n].any():
+            continue
+        current, theta = np.array(trace.current[n]), np.array(trace.theta_e[n])
+        lost = np.random.default_rng([*place, n])
+        if lost.random() < 0.5:
+            current[lost.random(rows) < lost.uniform(0, LOST)] = np.nan
+        plant = lanes[n][0].plant.mechanics
+        found.append(
+            Drive(
+                *(machine, course, h, np.array(trace.voltage[n]), current, theta),
+                true_speed(model, theta, np.array(trace.speed[n]), h),
+                np.array(torque[n]),
+                (float(plant.J), float(plant.viscous), float(plant.coulomb)),
+                scenarios[n].values,
+            )
+        )
+    return found

@@ -1,0 +1,138 @@
+"""The suite: a versioned folder of logs, machine files and truth, made from a seed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from ..core.arrays import Array
+from ..core.output import make_folder, write_text
+from ..errors import FluxobsError
+from ..machines import RotatingMachine, as_machine, example_text, rotating
+from .draws import COURSES, ERRORS, MACHINES
+from .drives import simulated
+
+#: Version of the suite: scores of different versions cannot be compared.
+VERSION = 1
+#: Seed of the public suite.
+PUBLIC_SEED = 1
+INDEX = "index.json"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A record of the suite.
+
+    Attributes
+    ----------
+    name, machine, course, errors : str
+    sample_time : float
+        [s].
+    """
+
+    name: str
+    machine: str
+    course: str
+    errors: str
+    sample_time: float
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A folder of records."""
+
+    folder: Path
+    version: int
+    seed: int
+    entries: tuple[Entry, ...]
+
+    def machine(self, entry: Entry) -> RotatingMachine:
+        """Return the machine file of a record, which the entrant knows."""
+        path = self.folder / "machines" / f"{entry.machine}.toml"
+        return rotating(as_machine(path), "a benchmark")
+
+    def log(self, entry: Entry) -> tuple[Array, Array]:
+        """Return voltages and currents, (rows, 2): commanded from the row on, measured at it."""
+        table = pl.read_parquet(self.folder / "logs" / f"{entry.name}.parquet")
+        voltage = table.select("u_alpha", "u_beta").to_numpy()
+        return voltage, table.select("i_alpha", "i_beta").to_numpy()
+
+    def truth(self, entry: Entry) -> dict[str, Array]:
+        """Return theta_e [rad], speed_e [rad/s] and torque [N m] of the rows."""
+        table = pl.read_parquet(self.folder / "truth" / f"{entry.name}.parquet")
+        return {name: table[name].to_numpy() for name in table.columns}
+
+
+def write_suite(
+    folder: Path,
+    seed: int = PUBLIC_SEED,
+    drives: int = 1,
+    progress: Callable[[int, int], Any] | None = None,
+) -> Suite:
+    """Simulate the suite into a new folder.
+
+    Parameters
+    ----------
+    folder : path
+    seed : int
+        1 is the public suite; whoever judges takes another.
+    drives : int
+        Drives of each machine, course and kind of errors.
+
+    Raises
+    ------
+    FluxobsError
+        The folder cannot be written, or contains a suite already.
+    """
+    make_folder(folder, INDEX, force=False)
+    for name in ("logs", "truth", "machines"):
+        (folder / name).mkdir(exist_ok=True)
+    entries: list[Entry] = []
+    cells = [(m, c, e) for m in MACHINES for c in COURSES for e in ERRORS]
+    for n, (machine, course, errors) in enumerate(cells):
+        (folder / "machines" / f"{machine}.toml").write_text(example_text(machine), "utf-8")
+        for k, drive in enumerate(simulated(machine, course, drives, seed, ERRORS[errors])):
+            name = "-".join([machine, course, errors, str(k)]).replace(" ", "-")
+            t = drive.sample_time * np.arange(len(drive.voltage))
+            log = {"t": t, "u_alpha": drive.voltage.real, "u_beta": drive.voltage.imag}
+            log |= {"i_alpha": drive.current.real, "i_beta": drive.current.imag}
+            truth = {"theta_e": drive.theta, "speed_e": drive.speed_e, "torque": drive.torque}
+            for place, columns in (("logs", log), ("truth", truth)):
+                path = folder / place / f"{name}.parquet"
+                pl.DataFrame(columns).write_parquet(path, compression="zstd")
+            entries.append(Entry(name, machine, course, errors, drive.sample_time))
+        if progress is not None:
+            progress(n + 1, len(cells))
+    index = {"version": VERSION, "seed": seed, "records": [asdict(entry) for entry in entries]}
+    write_text(folder / INDEX, json.dumps(index, indent=1) + "\n")  # last: the suite is complete
+    return Suite(folder, VERSION, seed, tuple(entries))
+
+
+def read_suite(folder: Path) -> Suite:
+    """Read a suite.
+
+    Raises
+    ------
+    FluxobsError
+        The folder contains no complete suite, or one of another version.
+    """
+    path = folder / INDEX
+    try:
+        index = json.loads(path.read_text("utf-8"))
+        entries = tuple(Entry(**record) for record in index["records"])
+        version, seed = int(index["version"]), int(index["seed"])
+    except FileNotFoundError:
+        raise FluxobsError(f"{folder}: no suite; make one with --seed in a new folder") from None
+    except (OSError, ValueError, TypeError, KeyError):
+        raise FluxobsError(f"{path}: malformed; make the suite again in a new folder") from None
+    if version != VERSION:
+        raise FluxobsError(
+            f"{folder}: suite of version {version}; this program scores version {VERSION}"
+        )
+    return Suite(folder, version, seed, entries)

@@ -1,0 +1,245 @@
+"""The benchmark: suite, entrants, scores."""
+
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from fluxobs.benchmark import drives, entrants, scores, suite
+from fluxobs.benchmark.report import markdown_table, text_table, write_report
+from fluxobs.errors import FluxobsError
+
+LEAKY = """
+import cmath
+
+
+class Observer:
+    def __init__(self, machine, sample_time):
+        self.R, self.L, self.h = machine["R_s"], machine["L_s"], sample_time
+        self.flux, self.last = 0j, 0j
+
+    def step(self, voltage, current):
+        u, i = complex(*voltage), complex(*current)
+        if cmath.isfinite(u) and cmath.isfinite(i):
+            self.flux += self.h * (u - self.R * (i + self.last) / 2 - 10 * self.flux)
+            self.last = i
+        return cmath.phase(self.flux - self.L * self.last), 0.3
+
+
+class Cheating:
+    def __init__(self, machine, sample_time):
+        self.kind = machine["kind"]
+
+    def estimate(self, voltage, current):
+        return {"theta_e": np.zeros(len(voltage)), "valid": np.zeros(len(voltage), bool)}
+
+
+class Neither:
+    def __init__(self, machine, sample_time):
+        pass
+"""
+
+IN_C = """
+#include <math.h>
+#include <stdlib.h>
+typedef struct { double h, flux[2]; } observer;
+void *observer_new(const char *machine, double h)
+{
+    observer *o = calloc(1, sizeof *o);
+    o->h = machine[0] == '/' ? h : NAN;
+    return o;
+}
+void observer_step(void *of, const double u[2], const double i[2], double out[5])
+{
+    observer *o = of;
+    for (int k = 0; k < 2; k++)
+        if (isfinite(u[k]) && isfinite(i[k]))
+            o->flux[k] += o->h * (u[k] - 0.36 * i[k] - 10 * o->flux[k]);
+    out[0] = atan2(o->flux[1], o->flux[0]);
+    out[1] = NAN;
+    out[2] = 1.0;
+    out[3] = out[4] = NAN;
+}
+void observer_free(void *o) { free(o); }
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A suite of a single machine and course."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(suite, "MACHINES", ("servo-400w",))
+        patch.setattr(suite, "COURSES", {"steady": {}})
+        folder = tmp_path_factory.mktemp("suite") / "suite"
+        written = suite.write_suite(folder, seed=3)
+    assert [entry.errors for entry in written.entries] == list(suite.ERRORS)
+    return suite.read_suite(folder)
+
+
+def scored(text, made, **options):
+    entrant = entrants.entrant(text, **options)
+    return entrant, scores.score_entrant(entrant, made)
+
+
+def test_a_seed_gives_the_same_drives():
+    draw = suite.ERRORS["data sheet"]
+    first, again = (drives.simulated("servo-400w", "steady", 1, 3, draw)[0] for _ in range(2))
+    np.testing.assert_array_equal(first.current, again.current)
+    other = drives.simulated("servo-400w", "steady", 1, 4, draw)[0]
+    assert not np.array_equal(first.current, other.current)
+
+
+def test_the_truth_is_that_of_the_log(made):
+    """The torque turns the drive as its speed says, and the speed is that of the angle."""
+    truth = made.truth(made.entries[0])
+    speed = np.gradient(np.unwrap(truth["theta_e"]), made.entries[0].sample_time)
+    np.testing.assert_allclose(speed[5:-5], truth["speed_e"][5:-5], atol=2.0)
+
+
+def test_our_observers(made):
+    _, ours = scored("adaptive", made)
+    assert [score.record for score in ours] == [entry.name for entry in made.entries]
+    right = ours[0]
+    assert right.rms_valid < np.radians(0.5)
+    assert right.valid > 0.8
+    assert right.within_2 > 0.95
+    assert not right.sure_and_wrong
+    assert right.torque < 0.05
+
+
+def test_an_observer_in_python_is_causal(made, tmp_path):
+    (tmp_path / "mine.py").write_text("import numpy as np\n" + LEAKY)
+    entrant, found = scored(f"{tmp_path / 'mine.py'}:Observer", made)
+    assert (entrant.name, entrant.track) == ("Observer", "causal")
+    assert all(score.valid == 1.0 for score in found)
+    assert 0 < found[0].rms < np.radians(40)
+    assert found[0].speed is None
+    assert found[0].within_1 is not None  # it states a standard deviation
+    offline, blind = scored(f"{tmp_path / 'mine.py'}:Cheating", made)
+    assert offline.track == "offline"
+    assert [score.rms_valid for score in blind] == [None] * 3
+    with pytest.raises(FluxobsError, match="neither step nor estimate"):
+        entrants.entrant(f"{tmp_path / 'mine.py'}:Neither")
+    with pytest.raises(FluxobsError, match="has no Nobody"):
+        entrants.entrant(f"{tmp_path / 'mine.py'}:Nobody")
+
+
+def test_an_entrant_sees_neither_the_future_nor_the_truth(made, tmp_path):
+    """The voltage of a step is that of the interval before its sample."""
+    seen = []
+
+    class Watching:
+        def __init__(self, machine, sample_time):
+            seen.clear()
+
+        def step(self, voltage, current):
+            seen.append((*voltage, *current))
+            return 0.0
+
+    entrants._stepped(Watching, made, made.entries[0])
+    voltage, current = made.log(made.entries[0])
+    np.testing.assert_array_equal(np.array(seen)[1:, :2], voltage[:-1])
+    np.testing.assert_array_equal(np.array(seen)[:, 2:], current)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no cross compiler: cc")
+def test_a_shared_library_is_an_entrant(made, tmp_path):
+    (tmp_path / "o.c").write_text(IN_C)
+    library = tmp_path / "leaky.so"
+    command = ["cc", "-shared", "-fPIC", "-O2", tmp_path / "o.c", "-o", library, "-lm"]
+    subprocess.run(command, check=True)
+    entrant, found = scored(str(library), made)
+    assert (entrant.name, entrant.track) == ("leaky", "causal")
+    assert found[0].rms < np.radians(40)
+    assert found[0].interval is None
+    assert found[0].valid == 1.0
+    other = tmp_path / "empty.so"
+    (tmp_path / "e.c").write_text("int nothing;\n")
+    subprocess.run(["cc", "-shared", "-fPIC", tmp_path / "e.c", "-o", other], check=True)
+    with pytest.raises(FluxobsError, match="observer_new"):
+        entrants.entrant(str(other))
+
+
+def test_a_folder_of_estimates(made, tmp_path):
+    for entry in made.entries:
+        truth = made.truth(entry)
+        rows = len(truth["theta_e"])
+        columns = {
+            "theta_e": truth["theta_e"] + 0.01,
+            "theta_e_std": np.full(rows, 0.01),
+            "valid": np.arange(rows) > 99,
+            "speed_e": truth["speed_e"] + 2.0,
+            "torque": truth["torque"],
+        }
+        pl.DataFrame(columns).write_parquet(tmp_path / f"{entry.name}.parquet")
+    with pytest.raises(FluxobsError, match="state the track"):
+        entrants.entrant(str(tmp_path))
+    entrant, found = scored(str(tmp_path), made, track="offline")
+    score = found[0]
+    assert score.rms == pytest.approx(0.01)
+    assert score.within_1 == pytest.approx(1.0, abs=1e-6) or score.within_1 == 0.0
+    assert (score.within_2, score.within_3) == (1.0, 1.0)
+    assert score.first_valid == pytest.approx(100 * made.entries[0].sample_time)
+    assert score.speed == pytest.approx(2.0)
+    assert score.torque == pytest.approx(0.0)
+    assert score.interval == pytest.approx(2 * scores.HALF_WIDTH * 0.01)
+    summary = scores.summarise(entrant, found)
+    assert [s.group for s in summary] == ["all", *suite.ERRORS, "steady"]
+    assert summary[0].rms == pytest.approx(np.degrees(0.01))
+    assert "µs" in text_table(summary)
+    assert markdown_table(summary).count("\n") == len(summary) + 2
+    write_report(tmp_path / "out", made, [(entrant, found, summary)], force=False)
+    table = pl.read_csv(tmp_path / "out" / "scores.csv")
+    assert table["record"].to_list() == [entry.name for entry in made.entries]
+    pl.DataFrame({"theta_e": [0.0]}).write_parquet(tmp_path / f"{made.entries[0].name}.parquet")
+    with pytest.raises(FluxobsError, match=r"returns \(1,\), not \d+ rows"):
+        scores.score_entrant(entrant, made)
+    pl.DataFrame({"angle": [0.0]}).write_parquet(tmp_path / f"{made.entries[0].name}.parquet")
+    with pytest.raises(FluxobsError, match="no column theta_e"):
+        scores.score_entrant(entrant, made)
+
+
+def test_the_interval_score_is_least_for_the_true_standard_deviation():
+    error = np.abs(0.02 * np.random.default_rng(0).standard_normal(200_000))
+    means = [scores.interval_score(error, std).mean() for std in (0.01, 0.02, 0.04)]
+    assert means[1] < min(means[0], means[2])
+    # The exact mean for a normal distribution: 2 σ φ(z) 2/α, with the quantile z.
+    exact = 2 * 0.02 * np.exp(-(scores.HALF_WIDTH**2) / 2) / np.sqrt(2 * np.pi) * 2 / scores.ALPHA
+    assert means[1] == pytest.approx(exact, rel=0.02)
+
+
+def test_without_standard_deviations_the_best_constant_counts(made):
+    _, found = scored("adaptive", made)
+    silent = [replace(score, interval=None) for score in found]
+    constant = scores.best_constant(silent)
+
+    def mean(std):
+        return np.mean([scores.interval_score(s.quantiles, std).mean() for s in silent])
+
+    assert mean(constant) <= min(mean(0.8 * constant), mean(1.2 * constant)) + 1e-9
+
+
+def test_suites_that_cannot_be_read(made, tmp_path):
+    with pytest.raises(FluxobsError, match="no suite"):
+        suite.read_suite(tmp_path)
+    index = tmp_path / "index.json"
+    index.write_text("[]")
+    with pytest.raises(FluxobsError, match="malformed"):
+        suite.read_suite(tmp_path)
+    index.write_text(json.dumps({"version": 99, "seed": 1, "records": []}))
+    with pytest.raises(FluxobsError, match="suite of version 99"):
+        suite.read_suite(tmp_path)
+    with pytest.raises(FluxobsError, match="exists"):
+        suite.write_suite(made.folder)
+
+
+def test_unknown_entrants():
+    with pytest.raises(FluxobsError, match=r"'adaptiv' is unknown; did you mean 'adaptive'"):
+        entrants.entrant("adaptiv")
+    with pytest.raises(FluxobsError, match=r"No such file|nowhere"):
+        entrants.entrant("nowhere.py:Observer")
+    assert "sliding mode" in entrants.published()
