@@ -24,37 +24,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import polars as pl
 from common import degrees_error, heading
-from whole_log import Drive, simulated
 
 import fluxobs
+from fluxobs.benchmark.draws import data_sheet
+from fluxobs.benchmark.drives import Drive, simulated
 from fluxobs.core.arrays import Array
 
 MACHINES = ("servo-400w", "drone-900kv", "pmsm-2kw2", "ipm-2kw2", "ipm-5kw6", "synrm-6kw7")
 LAGS = (-2, -1, 0, 1)
 #: Rows above this share of the fastest speed of the log count as moving.
 MOVING = 0.1
-
-
-def tolerance(rng: np.random.Generator, machine: str) -> dict[str, float]:
-    """Draw a drive from the tolerances of its data sheet."""
-    values = {
-        "theta_e": rng.uniform(-3, 3),
-        "R": rng.uniform(0.9, 1.25),
-        "dead_time": rng.uniform(0.002, 0.02),
-        "knee": float(np.exp(rng.uniform(np.log(0.01), np.log(0.06)))),
-        "noise": float(np.exp(rng.uniform(np.log(0.0005), np.log(0.003)))),
-        "quantum": 5 / 2**12,
-        "load": 1.0,
-    }
-    values |= {f"offset_{port}": rng.normal(0, 0.008) for port in ("alpha", "beta")}
-    values |= {f"gain_{phase}": 1 + rng.normal(0, 0.006) for phase in "abc"}
-    if "synrm" not in machine:
-        values["psi"] = rng.uniform(0.92, 1.08)
-    if machine in ("servo-400w", "drone-900kv", "pmsm-2kw2"):
-        values["L_s"] = rng.uniform(0.92, 1.08)
-    else:
-        values |= {"L_d": rng.uniform(0.92, 1.08), "L_q": rng.uniform(0.92, 1.08)}
-    return values
 
 
 def moved(voltage: Array, lag: int) -> Array:
@@ -153,7 +132,7 @@ def main() -> None:
         ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool,
     ):
         for machine in options.machine:
-            drives = simulated(machine, "mixed", options.drives, options.seed, draw=tolerance)
+            drives = simulated(machine, "mixed", options.drives, options.seed, draw=data_sheet)
             logs = [
                 written(drive, Path(name), n, LAGS[n % 4], n // 4 % 2 == 1)
                 for n, drive in enumerate(drives)

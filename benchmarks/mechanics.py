@@ -21,10 +21,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from common import heading
-from first_hour import tolerance
-from whole_log import Drive, errors, simulated
 
 import fluxobs
+from fluxobs.benchmark.draws import data_sheet, every_error
+from fluxobs.benchmark.drives import Drive, simulated
 from fluxobs.campaigns.specification import Specification
 from fluxobs.core.arrays import Array
 from fluxobs.errors import FluxobsError
@@ -57,7 +57,7 @@ def score(given: tuple[Drive, float, float]) -> Score | None:
             drive.machine,
             free="R_s,J,friction",
             sample_time=drive.sample_time,
-            lag=drive.lag,
+            lag=0,
         )
     except FluxobsError:
         return None
@@ -102,7 +102,7 @@ def main() -> None:
     heading("Torque, inertia and friction from a log")
 
     def draw(rng: np.random.Generator, machine: str) -> dict[str, float]:
-        values = errors(rng, machine) if options.all_errors else tolerance(rng, machine)
+        values = (every_error if options.all_errors else data_sheet)(rng, machine)
         return values | {
             "load": options.load,
             "inertia": float(np.exp(rng.uniform(np.log(0.5), np.log(3)))),

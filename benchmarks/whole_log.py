@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
-from typing import Any, NamedTuple
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -26,55 +26,34 @@ import numpy as np
 from common import degrees_error, heading
 
 import fluxobs
-from fluxobs.campaigns.draws import Scenario
-from fluxobs.campaigns.drives import drive_of
-from fluxobs.campaigns.simulated import ScoredTrace, select_scored
-from fluxobs.campaigns.specification import Specification
-from fluxobs.core.arrays import Array
-from fluxobs.errors import FluxobsError
+from fluxobs.benchmark.draws import COURSES, MACHINES, every_error
+from fluxobs.benchmark.drives import Drive, simulated
 from fluxobs.machines import example
-from fluxobs.simulation.drive.simulate import Trace, check, simulate_lanes, substeps
-
-MACHINES = (
-    *("servo-400w", "drone-900kv", "pmsm-2kw2", "ipm-2kw2", "ipm-5kw6"),
-    *("synrm-6kw7", "synrm-6kw7-saturated", "induction-2kw2"),
-)
-COURSES: dict[str, dict[str, Any]] = {
-    "mixed": {"speeds": [0.05, 1.0], "stops": 0.15, "reversals": 0.3},
-    "stops": {"speeds": [0.1, 0.8], "stops": 0.5, "reversals": 0.4},
-    "low speed": {"speeds": [0.02, 0.1], "stops": 0.1, "reversals": 0.3},
-    "steady": {"speeds": [0.3, 1.0], "stops": 0.0, "reversals": 0.0, "segment": [1.0, 2.0]},
-}
-DURATION = 2.5
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A simulated log with its true position."""
+class Task:
+    """A drive to estimate, with the lag of its log."""
 
-    machine: str
-    course: str
-    sample_time: float
-    voltage: Array
-    current: Array
-    theta: Array
+    drive: Drive
     lag: float
-    resistance: float
-    psi: float
-    torque: Array
-    mechanics: tuple[float, float, float]
+    causal: bool
+    lag_is_known: bool
+    file: str | None
 
 
-class Simulated(NamedTuple):
-    """What is kept of a simulation."""
+def resistance(drive: Drive) -> float:
+    """Return the true resistance [Ω]; NaN if it changes."""
+    if "heat" in drive.values:
+        return float("nan")
+    return float(example(drive.machine).R_s * drive.values.get("R", 1.0))
 
-    scored: ScoredTrace
-    torque: Any
 
-
-def select(row: Trace) -> Simulated:
-    """Return the scored quantities and the torque of a row."""
-    return Simulated(select_scored(row), row.torque)
+def magnet_flux(drive: Drive) -> float:
+    """Return the true magnet flux [Wb]; NaN without magnets, and for a cage, whose flux moves."""
+    if drive.machine == "induction-2kw2":
+        return float("nan")
+    return float((example(drive.machine).magnet_flux or np.nan) * drive.values.get("psi", 1.0))
 
 
 @dataclass(frozen=True)
@@ -95,136 +74,20 @@ class Score:
     parameters: tuple[float, ...]
 
 
-def errors(rng: np.random.Generator, machine: str) -> dict[str, float]:
-    """Draw the errors of a drive: quantities of a campaign."""
-
-    def half() -> bool:
-        return bool(rng.random() < 0.5)
-
-    values: dict[str, float] = {"theta_e": rng.uniform(-3, 3)}
-    if half():
-        values |= {f"offset_{port}": rng.normal(0, 0.015) for port in ("alpha", "beta")}
-    if half():
-        values |= {f"voltage_offset_{port}": rng.normal(0, 0.003) for port in ("alpha", "beta")}
-    if half():
-        values |= {f"gain_{phase}": 1 + rng.normal(0, 0.012) for phase in "abc"}
-    if half():
-        values["dead_time"] = rng.uniform(0.002, 0.03)
-    if half():
-        values["drop"] = rng.uniform(0, 0.003)
-    values["knee"] = float(np.exp(rng.uniform(np.log(0.01), np.log(0.09))))
-    if half():
-        values["R"] = rng.uniform(0.6, 1.6)
-    if half() and "synrm" not in machine:
-        values["psi"] = rng.uniform(0.8, 1.25)
-    if half():
-        if machine == "induction-2kw2":
-            values |= {"L_sigma": rng.uniform(0.75, 1.25), "L_M": rng.uniform(0.75, 1.25)}
-        elif machine in ("servo-400w", "drone-900kv", "pmsm-2kw2"):
-            values["L_s"] = rng.uniform(0.75, 1.25)
-        else:
-            values |= {"L_d": rng.uniform(0.8, 1.2), "L_q": rng.uniform(0.8, 1.2)}
-    if machine == "induction-2kw2":
-        values.pop("psi", None)
-        if half():
-            values["R_R"] = rng.uniform(0.7, 1.4)
-    elif "synrm" not in machine and half():
-        values |= {"fifth": rng.normal(0, 0.02), "seventh": rng.normal(0, 0.02)}
-    if half():
-        values["iron_loss"] = rng.uniform(0, 0.03)
-    if half():
-        values["heat"] = rng.uniform(-0.02, 0.1)
-    if half():
-        values["lag"] = rng.uniform(-0.5, 0.5)
-    if half():
-        values["range"] = rng.uniform(1.0, 1.6)
-    values["noise"] = float(np.exp(rng.uniform(np.log(0.0005), np.log(0.004))))
-    values["quantum"] = 5 / 2 ** int(rng.integers(10, 13))
-    values["load"] = 1.0
-    return values
+def late(drive: Drive) -> Drive:
+    """Return the drive with the log of a controller whose voltages act a sample later: lag -1."""
+    return replace(drive, voltage=np.concatenate([drive.voltage[1:], drive.voltage[-1:]]))
 
 
-def simulated(
-    machine: str,
-    course: str,
-    drives: int,
-    seed: int,
-    late: bool = False,
-    draw: Callable[[np.random.Generator, str], dict[str, float]] = errors,
-) -> list[Drive]:
-    """Return the drives of a machine on a course that neither trip nor diverge.
-
-    Half of the logs have a lag of -1 if `late`; `draw` draws the errors of a drive.
-    """
-    place = [seed, MACHINES.index(machine), list(COURSES).index(course)]
-    rng = np.random.default_rng(place)
-    specification = Specification.model_validate(
-        {
-            **{"name": "whole log", "seed": seed, "scenarios": drives, "machines": [machine]},
-            **{"loop": "open", "observers": ["plain"], "vary": {}},
-            "course": {
-                **{"duration": DURATION, "score_from": 0.0, "loads": [-0.8, 0.8], "ramp": 0.4},
-                **{"segment": [0.3, 0.9], **COURSES[course]},
-            },
-        }
-    )
-    lanes, scenarios, steps = [], [], []
-    for n in range(drives):
-        scenario = Scenario(
-            1000 * place[2] + n, specification.machines[0], draw(rng, machine), seed
-        )
-        try:
-            lane = drive_of(specification, scenario)
-            check(*lane)
-            steps.append(substeps(*lane))
-        except FluxobsError:  # the drive cannot reach this speed or load
-            continue
-        lanes.append(lane)
-        scenarios.append(scenario)
-    if not lanes:
-        return []
-    h = float(lanes[0][0].sample_time)
-    rows = round(DURATION / h)
-    noise = np.stack([scenario.generator(2).standard_normal((rows, 3)) for scenario in scenarios])
-    finished, (trace, torque) = simulate_lanes(lanes, noise, max(steps), select, 30)
-    found = []
-    for n in range(len(lanes)):
-        if not finished[n] or trace.tripped[n].any():
-            continue
-        current = np.array(trace.current[n])
-        lost = np.random.default_rng([*place, n])
-        if lost.random() < 0.5:
-            current[lost.random(rows) < lost.uniform(0, 0.002)] = np.nan
-        voltage, lag = np.array(trace.voltage[n]), 0.0
-        if late and n % 2:
-            voltage, lag = np.concatenate([voltage[1:], voltage[-1:]]), -1.0
-        values = scenarios[n].values
-        model = example(machine)
-        resistance = np.nan if "heat" in values else model.R_s * values.get("R", 1.0)
-        psi = (model.magnet_flux or np.nan) * values.get("psi", 1.0)
-        if machine == "induction-2kw2":
-            psi = np.nan  # a cage's flux moves
-        theta = np.array(trace.theta_e[n])
-        plant = lanes[n][0].plant.mechanics
-        mechanics = float(plant.J), float(plant.viscous), float(plant.coulomb)
-        found.append(
-            Drive(
-                *(machine, course, h, voltage, current, theta, lag, resistance, psi),
-                *(np.array(torque[n]), mechanics),
-            )
-        )
-    return found
-
-
-def score(given: tuple[Drive, bool, bool, str | None]) -> Score:
+def score(task: Task) -> Score:
     """Estimate a drive and score it."""
-    drive, causal, late, file = given
+    drive = task.drive
     result = fluxobs.estimate(
         (drive.voltage, drive.current),
-        file or drive.machine,
+        task.file or drive.machine,
         sample_time=drive.sample_time,
-        lag="auto" if late else drive.lag,
-        causal=causal,
+        lag=task.lag if task.lag_is_known else "auto",
+        causal=task.causal,
     )
     error = np.abs(degrees_error(result["theta_e"], drive.theta))
     std, valid = np.degrees(result["theta_e_std"]), result["valid"]
@@ -238,7 +101,7 @@ def score(given: tuple[Drive, bool, bool, str | None]) -> Score:
         float(error[valid].max(initial=0.0)),
         float(np.sqrt(np.mean(error**2))),
         float(np.mean((error[valid] / std[valid]) ** 2)) if valid.any() else np.nan,
-        np.nan if result.lag is None else result.lag.weights[drive.lag],
+        np.nan if result.lag is None else result.lag.weights[task.lag],
         bool((valid & (error > 10) & (error > 5 * std)).any()),
         tuple(parameter_errors(drive, result.learnt)),
     )
@@ -246,10 +109,10 @@ def score(given: tuple[Drive, bool, bool, str | None]) -> Score:
 
 def parameter_errors(drive: Drive, learnt: Any) -> Iterator[float]:
     """Yield the errors of resistance and magnet flux at the end, in standard deviations."""
-    if learnt is not None and np.isfinite(drive.resistance):
-        yield abs(learnt.resistance - drive.resistance) / learnt.resistance_std
-    if learnt is not None and np.isfinite(drive.psi) and learnt.psi_f_std > 0:
-        yield abs(learnt.psi_f - drive.psi) / learnt.psi_f_std
+    if learnt is not None and np.isfinite(resistance(drive)):
+        yield abs(learnt.resistance - resistance(drive)) / learnt.resistance_std
+    if learnt is not None and np.isfinite(magnet_flux(drive)) and learnt.psi_f_std > 0:
+        yield abs(learnt.psi_f - magnet_flux(drive)) / learnt.psi_f_std
 
 
 def line(title: str, scores: list[Score]) -> str:
@@ -285,22 +148,17 @@ def main() -> None:
     # JAX has threads, which a forked process must not inherit.
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
         for machine in options.machine:
-            drives = [
-                drive
+            tasks = [
+                Task(
+                    *(late(drive), -1.0) if options.unknown_lag and n % 2 else (drive, 0.0),
+                    *(options.causal, not options.unknown_lag, options.file),
+                )
                 for course in COURSES
-                for drive in simulated(
-                    machine, course, options.drives, options.seed, options.unknown_lag
+                for n, drive in enumerate(
+                    simulated(machine, course, options.drives, options.seed, every_error)
                 )
             ]
-            own = list(
-                pool.map(
-                    score,
-                    [
-                        (drive, options.causal, options.unknown_lag, options.file)
-                        for drive in drives
-                    ],
-                )
-            )
+            own = list(pool.map(score, tasks))
             print(line(machine, own), flush=True)
             scores += own
     print(line("all", scores))
