@@ -279,6 +279,7 @@ class Friction:
     ) -> None:
         points = np.vander(np.linspace(-1, 1, POINTS), 4, increasing=True)
         second = 2 * np.linalg.pinv(points)[2] / (segments.duration / 2) ** 2
+        self.second = second
         acceleration = segments.theta @ second
         self.torque = segments.torque.mean(axis=0) @ second - J * acceleration
         self.size = float(np.abs(self.torque).max()) + 1e-300
@@ -291,7 +292,7 @@ class Friction:
         self.prior = 1 / np.array([*broad, J_std]) ** 2
 
     def solve(
-        self, logs: Array, weights: Array, used: Array | float = 1.0
+        self, logs: Array, weights: Array, used: Array | float = 1.0, torque: Array | None = None
     ) -> tuple[Array, Array, Array, Array, float]:
         """Solve for the logarithms of the variances of noise and steps, and the steps' weights.
 
@@ -299,6 +300,7 @@ class Friction:
         derivatives, the parameters' covariance, and minus twice the log-likelihood. `used` is 0 for
         segments that are left out.
         """
+        torque = self.torque if torque is None else torque
         noise, step = self.size**2 * np.exp(logs)
         band = np.zeros((2, len(self.torque)))
         band[0] = used / noise
@@ -309,12 +311,12 @@ class Friction:
         factor = cholesky_banded(band, lower=True)
         kept = (self.regressors.T * used).T / noise
         through = cho_solve_banded((factor, True), kept)
-        alone = cho_solve_banded((factor, True), used * self.torque / noise)
+        alone = cho_solve_banded((factor, True), used * torque / noise)
         schur = kept.T @ (self.regressors - through) + np.diag(self.prior)
-        right = kept.T @ (self.torque - alone)
+        right = kept.T @ (torque - alone)
         covariance = np.linalg.inv(schur)
         cost = (
-            float(self.torque @ (self.torque - alone)) / noise
+            float(torque @ (torque - alone)) / noise
             - float(right @ covariance @ right)
             + len(self.torque) * np.log(noise)
             + float(np.log(step / weights).sum())
@@ -338,10 +340,17 @@ class Friction:
             for _ in range(ROUNDS):
                 steps = np.diff(self._state(logs, weights).load) ** 2
                 weights = student(steps, self.size**2 * float(np.exp(logs[1])))
+        self.chosen = logs, weights
         solution = self._state(logs, weights)
         if len(weights) == 0 or weights.min() > STEPPED:
             return solution
         return solution._replace(covariance=solution.covariance + self._spread(logs, weights))
+
+    def moved_by(self, solution: Solution, segments: Segments) -> Array:
+        """Return the change of the parameters by another torque in the segments, as an error."""
+        error = segments.torque.mean(axis=0) @ self.second
+        other = self._state(*self.chosen, torque=self.torque + error)
+        return other.parameters - solution.parameters
 
     def _spread(self, logs: Array, weights: Array) -> Array:
         """Return the jackknife covariance of the parameters.
@@ -360,10 +369,17 @@ class Friction:
         deviations = np.array(found) - np.mean(found, axis=0)
         return np.asarray((parts - 1) / parts * deviations.T @ deviations)
 
-    def _state(self, logs: Array, weights: Array, used: Array | float = 1.0) -> Solution:
-        factor, alone, through, covariance, _ = self.solve(logs, weights, used)
+    def _state(
+        self,
+        logs: Array,
+        weights: Array,
+        used: Array | float = 1.0,
+        torque: Array | None = None,
+    ) -> Solution:
+        torque = self.torque if torque is None else torque
+        factor, alone, through, covariance, _ = self.solve(logs, weights, used, torque)
         noise = self.size**2 * float(np.exp(logs[0]))
-        parameters = covariance @ ((self.regressors.T * used) @ (self.torque - alone) / noise)
+        parameters = covariance @ ((self.regressors.T * used) @ (torque - alone) / noise)
         own = cho_solve_banded((factor, True), np.eye(len(alone))).diagonal()
         variance = own + np.einsum("ki,ij,kj->k", through, covariance, through)
         return Solution(alone - through @ parameters, parameters, covariance, np.sqrt(variance))
@@ -410,8 +426,11 @@ def identify_mechanics(
     friction = Friction(segments, J, J_std, load_std)
     solution = friction.solution()
     viscous, coulomb, correction = solution.parameters.tolist()
+    # An error of the torque that opposes the motion, such as iron loss, passes for friction.
+    drag = np.nan_to_num(torque_std * np.sign(np.gradient(theta, t)))
+    by_drag = friction.moved_by(solution, cut(t, theta, drag, valid, SEGMENT, 1))
     values = {"J": J + correction, "viscous": viscous, "coulomb": coulomb}
-    stds = np.sqrt(np.diag(solution.covariance))[[2, 0, 1]]
+    stds = np.sqrt(np.diag(solution.covariance) + by_drag**2)[[2, 0, 1]]
     # A common scale of the torque scales every parameter.
     sure = valid & np.isfinite(torque_std)
     size = np.abs(torque[sure])
