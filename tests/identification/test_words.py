@@ -160,6 +160,7 @@ def fitted(used=99, psi_f=0.5, free=("psi_f",), converged=True):
         machine=PMSM.with_values(inverter_current=0.125),
         source="a.csv",
         segment_fit=segments,
+        mechanics=None,
     )
 
 

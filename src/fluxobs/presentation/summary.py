@@ -185,14 +185,14 @@ def _lag(result: LogRun) -> list[Row]:
         origin = "from the log and its true angle"
     if decision.decided:
         weight = decision.weights[decision.lag]
-        text = f"{signed(lag)}, learnt {origin} ({weight:.0%}): {effect}"
+        text = f"{signed(lag)}, learnt {origin} (probability {weight:.0%}): {effect}"
         if result.fractional_lag is not None:
             value, std = result.fractional_lag
-            text += f"; best fit {value:+.2f} ± {std:.2f}"
+            text += f"; as a fraction {value:+.2f} ± {std:.2f} samples"
         return [("lag", text)]
     degrees = np.degrees(decision.position_difference)
     difference = (
-        f"; the positions differ by {degrees:.2g}° rms, which σ includes"
+        f"; the positions with these lags differ by {degrees:.2g}° rms, weighted in σ"
         if np.isfinite(degrees)
         else ""
     )
@@ -354,7 +354,7 @@ def _quality(result: LogRun) -> list[Row]:
         for name in EVENTS
         if name in marked
     ]
-    return [("marks", f"no faults: {'; '.join(events)}")] if events else []
+    return [("marks", f"for information: {'; '.join(events)}")] if events else []
 
 
 def _next(result: LogRun, checked: Check | None) -> list[Row]:
