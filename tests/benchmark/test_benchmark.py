@@ -12,6 +12,7 @@ import pytest
 from fluxobs.benchmark import drives, entrants, scores, suite
 from fluxobs.benchmark.report import markdown_table, text_table, write_report
 from fluxobs.errors import FluxobsError
+from support.cli import fluxobs
 
 LEAKY = """
 import cmath
@@ -192,7 +193,7 @@ def test_a_folder_of_estimates(made, tmp_path):
     assert summary[0].rms == pytest.approx(np.degrees(0.01))
     assert "µs" in text_table(summary)
     assert markdown_table(summary).count("\n") == len(summary) + 2
-    write_report(tmp_path / "out", made, [(entrant, found, summary)], force=False)
+    write_report(tmp_path / "out", made, [(entrant, found, summary)])
     table = pl.read_csv(tmp_path / "out" / "scores.csv")
     assert table["record"].to_list() == [entry.name for entry in made.entries]
     pl.DataFrame({"theta_e": [0.0]}).write_parquet(tmp_path / f"{made.entries[0].name}.parquet")
@@ -243,3 +244,23 @@ def test_unknown_entrants():
     with pytest.raises(FluxobsError, match=r"No such file|nowhere"):
         entrants.entrant("nowhere.py:Observer")
     assert "sliding mode" in entrants.published()
+
+
+def test_the_command(made, tmp_path):
+    """A suite that exists is used; the table and the files have every entrant."""
+    out = tmp_path / "scores"
+    arguments = ("score", "plain", "adaptive", "--suite", str(made.folder), "--out", str(out))
+    done = fluxobs(*arguments, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("Suite 1, seed 3: 3 records.\nentrant ")
+    assert [line.split()[0] for line in done.stdout.splitlines()[2::5]] == ["plain", "adaptive"]
+    assert pl.read_csv(out / "scores.csv").height == 6
+    assert (out / "summary.md").read_text("utf-8").startswith("Suite 1, seed 3, 3 records\n")
+    again = fluxobs(*arguments, folder=tmp_path)
+    assert again.returncode == 2
+    assert "--force" in again.stderr
+    unknown = fluxobs("score", "adaptiv", "--suite", str(made.folder), folder=tmp_path)
+    assert unknown.returncode == 2
+    assert "did you mean 'adaptive'" in unknown.stderr
+    listed = fluxobs("score", "plain", "--suite", str(made.folder), "--json", folder=tmp_path)
+    assert json.loads(listed.stdout)[0]["group"] == "all"

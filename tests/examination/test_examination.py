@@ -123,6 +123,11 @@ def test_lost_samples_and_a_slow_logger():
     _, items = page({name: values[keep] for name, values in GOOD.items()})
     assert items["missing samples"].value == 4
     assert items["missing samples"].verdict == "look at it"
+    empty = {name: values.copy() for name, values in GOOD.items()}
+    empty["i_alpha"][[700, 900]] = np.nan
+    _, items = page(empty)
+    assert items["missing samples"].value == 2
+    assert "2 rows have an empty value" in items["missing samples"].words
     slow = {name: values[::6] for name, values in GOOD.items()}
     examination = fluxobs.check(slow, SERVO)
     period = next((i for i in examination.items if i.name == "samples a period"), None)

@@ -42,6 +42,8 @@ def cells(summary: Summary) -> list[str]:
     return row
 
 
+#: File with the summaries.
+SUMMARY = "summary.csv"
 #: Columns that a terminal shows.
 SHORT = (
     "rms °",
@@ -84,22 +86,21 @@ def write_report(
     folder: Path,
     suite: Suite,
     results: Sequence[tuple[Entrant, list[Score], list[Summary]]],
-    force: bool,
 ) -> None:
     """Write scores.csv (a row per record), summary.csv and summary.md.
 
     Raises
     ------
     FluxobsError
-        The folder cannot be written, or contains scores and `force` is false.
+        The folder cannot be written.
     """
-    make_folder(folder, "summary.csv", force)
+    make_folder(folder)
     pl.concat(
         [table_of(scores, entrant) for entrant, scores, _ in results], how="vertical_relaxed"
     ).write_csv(folder / "scores.csv")
     summaries = [summary for _, _, found in results for summary in found]
     frame = pl.DataFrame([asdict(summary) for summary in summaries], infer_schema_length=None)
-    frame.write_csv(folder / "summary.csv")
+    frame.write_csv(folder / SUMMARY)
     heading = f"Suite {suite.version}, seed {suite.seed}, {len(suite.entries)} records\n\n"
     parts = []
     for group in dict.fromkeys(summary.group for summary in summaries):

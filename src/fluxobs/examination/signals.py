@@ -37,7 +37,8 @@ def check_sampling(log: Log, channels: dict[str, Array], speed: float) -> list[I
     clock = log.clock
     items = []
     read = next(iter(channels.values()))
-    empty = int(np.any([np.isnan(values) for values in channels.values()], axis=0).sum())
+    unknown = int(np.any([np.isnan(values) for values in channels.values()], axis=0).sum())
+    empty = max(0, unknown - clock.missing)  # rows that gaps in time stand for are unknown too
     if clock.missing or empty:
         share = clock.missing / clock.rows + empty / len(read)
         parts = [f"{len(clock.at) - 1} gaps in time"] if clock.missing else []

@@ -63,11 +63,14 @@ def score(
     """
     from ...benchmark import entrant, read_suite, score_entrant, summarise, write_suite
     from ...benchmark.entrants import published
-    from ...benchmark.report import text_table, write_report
+    from ...benchmark.report import SUMMARY, text_table, write_report
     from ...benchmark.suite import INDEX
+    from ...core.output import make_folder
 
     names = [n for text in entrants for n in (published() if text == "published" else [text])]
     known = [entrant(name, None if track is None else track.value) for name in names]
+    if out is not None:
+        make_folder(out, SUMMARY, force)  # an error now, not after the runs
     with show.Progress() as progress:
         found = read_suite(suite) if (suite / INDEX).exists() else None
         if found is None:
@@ -77,7 +80,7 @@ def score(
             scores = score_entrant(one, found, progress)
             results.append((one, scores, summarise(one, scores)))
     if out is not None:
-        write_report(out, found, results, force)
+        write_report(out, found, results)
     summaries = [summary for _, _, summaries in results for summary in summaries]
     if as_json:
         typer.echo(json.dumps([asdict(summary) for summary in summaries]))
