@@ -57,9 +57,9 @@ SLOW = 0.005
 NOT_RIGID = 3.0
 #: Torques above this share of the largest tell the standard deviation of the torque's scale.
 LOADED = 0.5
-#: A parameter is identified if its standard deviation is below this share of J, or of the friction
-#: that would take up a tenth of the largest torque.
-IDENTIFIED = 0.3
+#: A parameter is identified if its standard deviation is below this share of its value; friction
+#: also if it takes up less than this share of the largest torque.
+IDENTIFIED, NEGLIGIBLE = 0.15, 0.002
 
 
 class Segments(NamedTuple):
@@ -117,12 +117,11 @@ class Mechanics:
 
     def identifies(self, name: str) -> bool:
         """Whether the log identifies a parameter."""
-        typical = {
-            "J": self.values["J"],
-            "viscous": 0.1 * self.torque / self.speed,
-            "coulomb": 0.1 * self.torque,
-        }
-        return self.stds[name] < IDENTIFIED * typical[name]
+        std = self.stds[name]
+        if std < IDENTIFIED * abs(self.values[name]):
+            return True
+        largest = {"J": 0.0, "viscous": self.torque / self.speed, "coulomb": self.torque}[name]
+        return std < NEGLIGIBLE * largest
 
 
 def cut(
