@@ -3,7 +3,8 @@
 python benchmarks/mechanics.py [--drives 8] [--seed 1] [--machine NAME ...] [--load 1.0]
     [--all-errors]
 
-Each drive has its own inertia and friction; the load steps at random times, except with --load 0.
+Each drive has its own inertia and friction; the load steps at random times. With --load 0 the shaft
+is free, and this is stated (--prior load=0).
 Without --all-errors the scales of voltages and currents are right, and the other errors are those
 of a data sheet's tolerance (benchmarks/first_hour.py). With it, every error of
 benchmarks/whole_log.py is present at once, and common gains of 1 % in voltages and currents.
@@ -47,15 +48,16 @@ class Score:
     rigid: bool
 
 
-def score(given: tuple[Drive, float, float]) -> Score | None:
+def score(given: tuple[Drive, float, float, bool]) -> Score | None:
     """Identify a drive and score it."""
-    drive, voltage_gain, current_gain = given
+    drive, voltage_gain, current_gain, free = given
     log = (voltage_gain * drive.voltage, current_gain * drive.current)
     try:
         found = fluxobs.identify(
             log,
             drive.machine,
             free="R_s,J,friction",
+            priors={"load": 0.0} if free else None,
             sample_time=drive.sample_time,
             lag=0,
         )
@@ -121,7 +123,10 @@ def main() -> None:
             drives = simulated(machine, "mixed", options.drives, options.seed, draw=draw)
             rng = np.random.default_rng([options.seed, len(machine)])
             gains: Array = np.exp(GAIN * options.all_errors * rng.standard_normal((len(drives), 2)))
-            tasks = [(drive, *gain) for drive, gain in zip(drives, gains.tolist(), strict=True)]
+            free = options.load == 0
+            tasks = [
+                (drive, *gain, free) for drive, gain in zip(drives, gains.tolist(), strict=True)
+            ]
             got = [entry for entry in pool.map(score, tasks) if entry is not None]
             report(machine, len(drives), got)
             scores += got

@@ -425,9 +425,15 @@ def identify_mechanics(
     friction = Friction(segments, J, J_std, load_std)
     solution = friction.solution()
     viscous, coulomb, correction = solution.parameters.tolist()
-    # An error of the torque that opposes the motion, such as iron loss, passes for friction.
-    drag = np.nan_to_num(torque_std * np.sign(np.gradient(theta, t)))
-    by_drag = friction.moved_by(solution, cut(t, theta, drag, valid, SEGMENT, 1))
+    # An error of the torque that opposes the motion passes for friction: one as large as its
+    # standard deviation at each row, and one that grows with the speed, such as iron loss.
+    speed = np.where(valid, np.gradient(theta, t), 0.0)
+    fast = np.abs(speed) > np.abs(speed).max() / 2
+    grown = float(np.nanmedian(torque_std[fast])) * speed / np.abs(speed).max()
+    by_drag = np.zeros(3)
+    for drag in (np.nan_to_num(torque_std * np.sign(speed)), grown):
+        change = friction.moved_by(solution, cut(t, theta, drag, valid, SEGMENT, 1))
+        by_drag = np.maximum(by_drag, np.abs(change))
     values = {"J": J + correction, "viscous": viscous, "coulomb": coulomb}
     stds = np.sqrt(np.diag(solution.covariance) + by_drag**2)[[2, 0, 1]]
     # A common scale of the torque scales every parameter.
