@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..core.validation import nearest
 from ..errors import FluxobsError
+from ..estimation.lag import shifted
 from ..machines import example, rotating
 from .draws import MACHINES
 from .suite import Entry, Suite
@@ -142,11 +143,6 @@ def published() -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def before(voltage: Array) -> Array:
-    """Return the mean voltages since the sample before; the first is unknown."""
-    return np.concatenate([np.full((1, 2), np.nan), voltage[:-1]])
-
-
 def _own(name: str, suite: Suite, entry: Entry) -> Estimates:
     from ..presentation.estimate import estimate
 
@@ -168,6 +164,7 @@ def _published(name: str, suite: Suite, entry: Entry) -> Estimates | None:
     from ..campaigns.observed import NOISE, candidate, observe
     from ..campaigns.specification import ObserverTable, Specification
     from ..comparison.cages import entries_for
+    from ..comparison.compare import hold_last
 
     specification = Specification.model_validate(
         {"name": "benchmark", "scenarios": 1, "machines": [entry.machine], "observers": [name]}
@@ -177,9 +174,9 @@ def _published(name: str, suite: Suite, entry: Entry) -> Estimates | None:
         return None
     observer = candidate(ObserverTable(kind=name), cell, NOISE * cell.current)
     voltage, current = suite.log(entry)
-    held = np.where(np.isfinite(current), current, 0.0)
+    held = hold_last(current)
     began = time.perf_counter()
-    (record,) = observe(observer, before(voltage)[None], held[None], ())
+    (record,) = observe(observer, shifted(voltage, -1)[None], held[None], ())
     seconds = (time.perf_counter() - began) / len(voltage)
     return Estimates(record.theta_e, None, record.valid, record.speed_e, None, seconds)
 
@@ -221,7 +218,7 @@ def _file(suite: Suite, entry: Entry) -> dict[str, Any]:
 def _stepped(make: Callable[..., Any], suite: Suite, entry: Entry) -> Estimates:
     voltage, current = suite.log(entry)
     observer = make(_file(suite, entry), entry.sample_time)
-    rows = list(zip(before(voltage), current, strict=True))
+    rows = list(zip(shifted(voltage, -1), current, strict=True))
     began = time.perf_counter()
     got = [observer.step(u, i) for u, i in rows]
     seconds = (time.perf_counter() - began) / len(rows)
@@ -252,7 +249,7 @@ def _library(path: Path) -> Any:
 
 def _in_c(library: Any, suite: Suite, entry: Entry) -> Estimates:
     voltage, current = (np.ascontiguousarray(v, float) for v in suite.log(entry))
-    voltage = before(voltage)
+    voltage = shifted(voltage, -1)
     estimates = np.zeros((len(voltage), len(OUTPUTS)))
     machine = str((suite.folder / "machines" / f"{entry.machine}.toml").resolve()).encode()
     observer = library.observer_new(machine, entry.sample_time)

@@ -147,7 +147,7 @@ def _compile(observers: Any, voltage: jax.Array, current: jax.Array) -> Any:
     return run_lanes.lower(observers, voltage, current).compile()
 
 
-def _hold_last(samples: Array) -> Array:
+def hold_last(samples: Array) -> Array:
     """Replace missing samples by the last finite one, or by zero before the first."""
     finite = np.isfinite(samples).all(axis=1)
     last_finite = np.maximum.accumulate(np.where(finite, np.arange(len(samples)), -1))
@@ -174,8 +174,8 @@ def setting_for(
         speed_e * psi,
         max(white_noise(current), LEAST_NOISE * rated_current),
         VOLTAGE_OFFSET * float(np.percentile(np.hypot(*u.T), 95)),
-        _hold_last(voltage),
-        _hold_last(current),
+        hold_last(voltage),
+        hold_last(current),
     )
 
 

@@ -213,7 +213,7 @@ def identify_log(
                 if name in MECHANICS and mechanics.identifies(name):
                     told[name] = mechanics.values[name], mechanics.stds[name]
                 elif name in MECHANICS:
-                    reasons[name] = _open_friction(name, mechanics)
+                    reasons[name] = _why_open(name, mechanics)
     if slip is not None:
         told["R_R"] = slip
     if run is not None:
@@ -270,13 +270,16 @@ def mechanics_of(result: Result, load_std: float = np.inf) -> Mechanics:
     return identify_mechanics(t, theta, result["torque"], result["torque_std"], valid, load_std)
 
 
-def _open_friction(name: str, mechanics: Mechanics) -> str:
+def _why_open(name: str, mechanics: Mechanics) -> str:
     """Say why a mechanical parameter is open."""
     std, unit = mechanics.stds[name], MECHANICAL_UNITS[name]
-    return (
-        f"σ would be {std:.2g} {unit}; record the drive at several speeds in both directions "
-        f"without load, and state --prior load=0"
+    remedy = (
+        "record ramps of the speed"
+        if name == "J"
+        else "record the drive at several speeds in both directions without load, and state "
+        "--prior load=0"
     )
+    return f"σ would be {std:.2g} {unit}; {remedy}"
 
 
 def _has_speed(log: Log) -> bool:

@@ -252,12 +252,27 @@ def inertia(segments: Segments, overlap: int) -> tuple[float, float]:
 
 
 class Solution(NamedTuple):
-    """Load of the segments, and B, T_c and the correction of J with their covariance."""
+    """Load of the segments, and B, T_c and the correction of J with their covariance.
+
+    `factor` is that of the information of the loads, `through` their derivative by the parameters.
+    """
 
     load: Array
     parameters: Array
     covariance: Array
-    load_std: Array
+    factor: Array
+    through: Array
+
+    @property
+    def load_std(self) -> Array:
+        """Standard deviation of the load [N m]."""
+        diagonal, below = self.factor
+        # The diagonal of the inverse of a tridiagonal matrix, from the last row to the first.
+        own = 1 / diagonal**2
+        for n in range(len(own) - 2, -1, -1):
+            own[n] += (below[n] / diagonal[n]) ** 2 * own[n + 1]
+        by_parameters = np.einsum("ki,ij,kj->k", self.through, self.covariance, self.through)
+        return np.asarray(np.sqrt(own + by_parameters))
 
 
 class Friction:
@@ -270,7 +285,7 @@ class Friction:
     J, J_std : float
         Inertia and its standard deviation [kg m²].
     load_std : float
-        Prior standard deviation of the load [N m]; 0: there is none.
+        Prior standard deviation of the load [N m]; 0 if the shaft is free.
     """
 
     def __init__(
@@ -324,8 +339,8 @@ class Friction:
         )
         return factor, alone, through, covariance, float(cost)
 
-    def solution(self) -> Solution:
-        """Maximise the likelihood."""
+    def solution(self) -> tuple[Solution, Array]:
+        """Maximise the likelihood; return also the covariance of the parameters with the spread."""
         logs, weights = np.log([1e-4, 1e-4]), np.ones(len(self.torque) - 1)
         for _ in range(MAXIMISATIONS):
             logs = minimize(
@@ -342,14 +357,13 @@ class Friction:
         self.chosen = logs, weights
         solution = self._state(logs, weights)
         if len(weights) == 0 or weights.min() > STEPPED:
-            return solution
-        return solution._replace(covariance=solution.covariance + self._spread(logs, weights))
+            return solution, solution.covariance
+        return solution, solution.covariance + self._spread(logs, weights)
 
-    def moved_by(self, solution: Solution, segments: Segments) -> Array:
-        """Return the change of the parameters by another torque in the segments, as an error."""
-        error = segments.torque.mean(axis=0) @ self.second
-        other = self._state(*self.chosen, torque=self.torque + error)
-        return other.parameters - solution.parameters
+    def moved_by(self, segments: Segments) -> Array:
+        """Return how the torque of the segments moves the parameters, if it is an error."""
+        error = segments.torque.mean(axis=0) @ self.second  # the parameters are linear in it
+        return self._state(*self.chosen, torque=error).parameters
 
     def _spread(self, logs: Array, weights: Array) -> Array:
         """Return the jackknife covariance of the parameters.
@@ -379,9 +393,7 @@ class Friction:
         factor, alone, through, covariance, _ = self.solve(logs, weights, used, torque)
         noise = self.size**2 * float(np.exp(logs[0]))
         parameters = covariance @ ((self.regressors.T * used) @ (torque - alone) / noise)
-        own = cho_solve_banded((factor, True), np.eye(len(alone))).diagonal()
-        variance = own + np.einsum("ki,ij,kj->k", through, covariance, through)
-        return Solution(alone - through @ parameters, parameters, covariance, np.sqrt(variance))
+        return Solution(alone - through @ parameters, parameters, covariance, factor, through)
 
 
 def identify_mechanics(
@@ -401,7 +413,7 @@ def identify_mechanics(
         deviation [N m].
     valid : (rows,) ndarray of bool
     load_std : float
-        Prior standard deviation of the load [N m]; 0: the shaft is free.
+        Prior standard deviation of the load [N m]; 0 if the shaft is free.
 
     Raises
     ------
@@ -423,7 +435,7 @@ def identify_mechanics(
         J_std = float(np.hypot(J_std, (long - short) / 2))
     segments = cut(*signals, SEGMENT, 1)
     friction = Friction(segments, J, J_std, load_std)
-    solution = friction.solution()
+    solution, covariance = friction.solution()
     viscous, coulomb, correction = solution.parameters.tolist()
     # An error of the torque that opposes the motion passes for friction: one as large as its
     # standard deviation at each row, and one that grows with the speed, such as iron loss.
@@ -432,10 +444,10 @@ def identify_mechanics(
     grown = float(np.nanmedian(torque_std[fast])) * speed / np.abs(speed).max()
     by_drag = np.zeros(3)
     for drag in (np.nan_to_num(torque_std * np.sign(speed)), grown):
-        change = friction.moved_by(solution, cut(t, theta, drag, valid, SEGMENT, 1))
+        change = friction.moved_by(cut(t, theta, drag, valid, SEGMENT, 1))
         by_drag = np.maximum(by_drag, np.abs(change))
     values = {"J": J + correction, "viscous": viscous, "coulomb": coulomb}
-    stds = np.sqrt(np.diag(solution.covariance) + by_drag**2)[[2, 0, 1]]
+    stds = np.sqrt(np.diag(covariance) + by_drag**2)[[2, 0, 1]]
     # A common scale of the torque scales every parameter.
     sure = valid & np.isfinite(torque_std)
     size = np.abs(torque[sure])

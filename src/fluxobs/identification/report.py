@@ -14,6 +14,7 @@ from ..core.plots import write as save
 from ..errors import FluxobsError
 from ..logs.record import signed
 from ..machines.saving import write_machine
+from ..presentation.summary import RPM
 from .fit_result import FittedParameters
 from .map_fit import FoundMap
 from .mechanics import NOT_RIGID, Mechanics
@@ -78,7 +79,7 @@ def constants(run: Result) -> list[str]:
     if not machine.magnets or learnt is None or not run.statistics.valid:
         return []
     share, emf = learnt.psi_f_std / learnt.psi_f, machine.n_p * learnt.psi_f
-    K_e, K_t, K_V = 3**0.5 * emf, 1.5 * emf, 30 / np.pi / (3**0.5 * emf)
+    K_e, K_t, K_V = 3**0.5 * emf, 1.5 * emf, RPM / (3**0.5 * emf)
     return [
         f"K_e = {K_e:.4g} ± {share * K_e:.2g} V s/rad (line to line, peak), "
         f"{emf:.4g} V s/rad (phase, peak)",

@@ -18,6 +18,7 @@ from ..logs.quality.marks import MARKS
 from ..logs.record import signed
 from ..observers import ImmersionObserver
 from .plot_data import BUDGET_LAYERS
+from .summary import RPM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -355,7 +356,7 @@ def scaled(factor: float) -> Callable[[Any], Any]:
 
 def _speed(axes: Axes, columns: dict[str, Array], n_p: int) -> None:
     axes.plot(columns["t"], _blank_invalid(columns, "speed_e"), color=BLUE)
-    rpm = 30 / np.pi / n_p
+    rpm = RPM / n_p
     right = axes.secondary_yaxis("right", functions=(scaled(rpm), scaled(1 / rpm)))
     right.set_ylabel("rpm")
     axes.axhline(0, color=GREY, linewidth=0.5)

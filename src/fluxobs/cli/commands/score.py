@@ -33,7 +33,7 @@ def score(
     ],
     suite: Annotated[
         Path,
-        typer.Option(help="Folder of the suite; if there is none, it is simulated into it."),
+        typer.Option(help="Folder of the suite. A missing suite is simulated first."),
     ],
     seed: Annotated[
         int,
