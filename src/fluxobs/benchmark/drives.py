@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..campaigns.draws import Scenario
+from ..campaigns.draws import NOISE, Scenario
 from ..campaigns.drives import drive_of
 from ..campaigns.simulated import ScoredTrace, select_scored
 from ..campaigns.specification import Specification
@@ -15,6 +16,8 @@ from ..comparison.scoring import true_speed
 from ..core.arrays import Array
 from ..errors import FluxobsError
 from ..machines import example, rotating
+from ..simulation.drive import Course as TrueCourse
+from ..simulation.drive import Drive as TrueDrive
 from ..simulation.drive.simulate import Trace, check, simulate_lanes, substeps
 from .draws import COURSES, MACHINES, Draw
 
@@ -22,6 +25,8 @@ from .draws import COURSES, MACHINES, Draw
 DURATION = 2.5
 #: Share of the rows that half of the loggers lose, at most.
 LOST = 0.002
+#: Knots to which the courses are padded, so that all drives of a machine run the same code.
+KNOTS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +71,16 @@ def _select(row: Trace) -> _Kept:
     return _Kept(select_scored(row), row.torque)
 
 
-def simulated(machine: str, course: str, drives: int, seed: int, draw: Draw) -> list[Drive]:
-    """Return drives of a shipped machine on a course; those that trip or diverge are left out.
+class Lane(NamedTuple):
+    """A drive of the benchmark before its simulation."""
 
-    Parameters
-    ----------
-    draw : callable
-        Draws the errors of a drive.
-    """
+    drive: TrueDrive
+    course: TrueCourse
+    scenario: Scenario
+
+
+def lanes(machine: str, course: str, drives: int, seed: int, draw: Draw) -> list[Lane]:
+    """Return drives of a shipped machine that can reach the speeds and loads of a course."""
     place = [seed, MACHINES.index(machine), list(COURSES).index(course)]
     rng = np.random.default_rng(place)
     specification = Specification.model_validate(
@@ -86,41 +93,60 @@ def simulated(machine: str, course: str, drives: int, seed: int, draw: Draw) -> 
             },
         }
     )
-    lanes, scenarios, steps = [], [], []
+    found = []
     for n in range(drives):
         values = draw(rng, machine)
         scenario = Scenario(1000 * place[2] + n, specification.machines[0], values, seed)
         try:
             lane = drive_of(specification, scenario)
             check(*lane)
-            steps.append(substeps(*lane))
+            substeps(*lane)
         except FluxobsError:  # the drive cannot reach this speed or load
             continue
-        lanes.append(lane)
-        scenarios.append(scenario)
-    if not lanes:
+        found.append(Lane(*lane, scenario))
+    return found
+
+
+def run(found: Sequence[Lane], keep: Callable[[Trace], Any]) -> tuple[Any, Any]:
+    """Simulate drives with equal components; return which stayed finite, and what `keep` keeps."""
+    rows = round(DURATION / float(found[0].drive.sample_time))
+    noise = [lane.scenario.generator(NOISE).standard_normal((rows, 3)) for lane in found]
+    steps = max(substeps(lane.drive, lane.course) for lane in found)
+    pairs = [(lane.drive, lane.course) for lane in found]
+    return simulate_lanes(pairs, np.stack(noise), steps, keep, KNOTS)
+
+
+def simulated(machine: str, course: str, drives: int, seed: int, draw: Draw) -> list[Drive]:
+    """Return drives of a shipped machine on a course; those that trip or diverge are left out.
+
+    Parameters
+    ----------
+    draw : callable
+        Draws the errors of a drive.
+    """
+    found = lanes(machine, course, drives, seed, draw)
+    if not found:
         return []
-    h = float(lanes[0][0].sample_time)
-    rows = round(DURATION / h)
-    noise = np.stack([scenario.generator(2).standard_normal((rows, 3)) for scenario in scenarios])
-    finished, (trace, torque) = simulate_lanes(lanes, noise, max(steps), _select, 30)
+    h = float(found[0].drive.sample_time)
+    finished, (trace, torque) = run(found, _select)
     model = rotating(example(machine), "a benchmark")
-    found = []
-    for n in range(len(lanes)):
+    place = [seed, MACHINES.index(machine), list(COURSES).index(course)]
+    done = []
+    for n, lane in enumerate(found):
         if not finished[n] or trace.tripped[n].any():
             continue
         current, theta = np.array(trace.current[n]), np.array(trace.theta_e[n])
         lost = np.random.default_rng([*place, n])
         if lost.random() < 0.5:
-            current[lost.random(rows) < lost.uniform(0, LOST)] = np.nan
-        plant = lanes[n][0].plant.mechanics
-        found.append(
+            current[lost.random(len(current)) < lost.uniform(0, LOST)] = np.nan
+        plant = lane.drive.plant.mechanics
+        done.append(
             Drive(
                 *(machine, course, h, np.array(trace.voltage[n]), current, theta),
                 true_speed(model, theta, np.array(trace.speed[n]), h),
                 np.array(torque[n]),
                 (float(plant.J), float(plant.viscous), float(plant.coulomb)),
-                scenarios[n].values,
+                lane.scenario.values,
             )
         )
-    return found
+    return done

@@ -6,28 +6,27 @@ An entrant is
 - the name of a published observer, as ``fluxobs compare`` lists them;
 - ``FILE.py:NAME`` or ``module:NAME``, a class or function in Python;
 - a shared library (.so, .dll, .dylib) with the C functions below;
+- a simulation unit ``MACHINE*.fmu`` (FMI 2 or 3, co-simulation), or a folder of them;
 - a folder of estimates, ``RECORD.parquet`` with the columns of :class:`Estimates`.
 
 In Python, ``NAME(machine, sample_time)`` returns an object; `machine` is the machine file as a
-mapping. If it has ``step(voltage, current)``, the track is causal: called once a sample with the
-mean voltage since the sample before and the current now, both α and β, it returns theta_e, or a
-tuple (theta_e, theta_e_std, valid, speed_e, torque) as long as it likes. If it has
-``estimate(voltage, current)``, the track is offline: called with all rows at once, it returns a
-mapping. The C functions are
+mapping. If it has ``step(voltage, current)``, it is causal: called once a sample with the mean
+voltage since the sample before and the current now, both α and β, it returns theta_e, or a tuple
+(theta_e, theta_e_std, valid, speed_e, torque) as long as it likes. If it has
+``estimate(voltage, current)``, it is offline: called with all rows at once, it returns a mapping.
+The C functions are
 
     void *observer_new(const char *machine_file, double sample_time);
     void observer_step(void *observer, const double voltage[2], const double current[2],
                        double estimate[5]);
     void observer_free(void *observer);
 
-`estimate` has the same order; what an observer does not know is NaN, valid is 0 or 1.
+`estimate` has the same order; what an observer does not know is NaN, valid is 0 or 1. A unit has
+the inputs u_alpha, u_beta, i_alpha, i_beta and outputs with these names.
 """
 
 from __future__ import annotations
 
-import ctypes
-import importlib
-import importlib.util
 import time
 import tomllib
 from collections.abc import Callable, Mapping
@@ -43,16 +42,26 @@ from ..core.arrays import Array
 from ..core.validation import nearest
 from ..errors import FluxobsError
 from ..estimation.lag import shifted
-from ..machines import example, rotating
+from ..machines import example, example_text, rotating
 from .draws import MACHINES
+from .programs import (
+    LIBRARIES,
+    OUTPUTS,
+    UNIT,
+    Create,
+    Stepped,
+    fields_of,
+    in_c,
+    in_python,
+    in_units,
+)
 from .suite import Entry, Suite
 
-Track = Literal["offline", "causal"]
+Track = Literal["offline", "causal", "closed-loop"]
 #: Our observers with their tracks.
 OURS: dict[str, Track] = {"plain": "causal", "adaptive": "causal", "whole-log": "offline"}
-#: Order of what an entrant returns.
-OUTPUTS = ("theta_e", "theta_e_std", "valid", "speed_e", "torque")
-LIBRARIES = (".so", ".dll", ".dylib")
+#: Machine for which a function is called to see whether it returns a causal observer.
+SURFACE = tomllib.loads(example_text("servo-400w"))
 
 
 class Estimates(NamedTuple):
@@ -87,11 +96,19 @@ class Entrant:
     track : "offline" or "causal"
     run : callable
         Estimates a record; None if the entrant has no observer for this machine.
+    create : callable, optional
+        Creates an observer that can be in the loop of a drive.
     """
 
     name: str
     track: Track
     run: Callable[[Suite, Entry], Estimates | None]
+    create: Create | None = None
+
+    @classmethod
+    def causal(cls, name: str, create: Create) -> Entrant:
+        """Return a causal entrant that creates its observers."""
+        return cls(name, "causal", lambda suite, entry: _stepped(create, suite, entry), create)
 
 
 def entrant(text: str, track: Track | None = None) -> Entrant:
@@ -105,26 +122,25 @@ def entrant(text: str, track: Track | None = None) -> Entrant:
     path = Path(text)
     if text in OURS:
         return Entrant(text, OURS[text], lambda suite, entry: _own(text, suite, entry))
+    if path.suffix == UNIT or (path.is_dir() and any(path.glob(f"*{UNIT}"))):
+        return Entrant.causal(path.stem, in_units(path))
     if path.is_dir():
         if track is None:
             raise FluxobsError(f"{text}: state the track of a folder of estimates: --track")
         return Entrant(path.name, track, lambda suite, entry: _stored(path, entry))
     if path.suffix in LIBRARIES:
-        library = _library(path)
-        return Entrant(path.stem, "causal", lambda suite, entry: _in_c(library, suite, entry))
+        return Entrant.causal(path.stem, in_c(path))
     if ":" in text:
-        make = _python(text)
-        probe = make(
-            {"kind": "surface-pmsm", "R_s": 1.0, "L_s": 1e-3, "n_p": 1, "psi_f": 0.1}, 1e-4
-        )
+        make = in_python(text)
+        observer = make if isinstance(make, type) else make(SURFACE, 1e-4)
         name = text.rpartition(":")[2]
-        if hasattr(probe, "step"):
-            return Entrant(name, "causal", lambda suite, entry: _stepped(make, suite, entry))
-        if hasattr(probe, "estimate"):
+        if hasattr(observer, "step"):
+            return Entrant.causal(name, lambda machine, h: _created(make, machine, h))
+        if hasattr(observer, "estimate"):
             return Entrant(name, "offline", lambda suite, entry: _at_once(make, suite, entry))
         raise FluxobsError(f"{text}: what it returns has neither step nor estimate")
     if text not in published():
-        known = (*OURS, *published(), "FILE.py:NAME", "LIBRARY.so", "FOLDER")
+        known = (*OURS, *published(), "FILE.py:NAME", "LIBRARY.so", "MACHINE.fmu", "FOLDER")
         raise FluxobsError(f"entrant {text!r} is unknown{nearest(text, known)}")
     return Entrant(text, "causal", lambda suite, entry: _published(text, suite, entry))
 
@@ -166,18 +182,23 @@ def _published(name: str, suite: Suite, entry: Entry) -> Estimates | None:
     from ..comparison.cages import entries_for
     from ..comparison.compare import hold_last
 
+    machine = str(suite.machine_file(entry)) if suite.measured else entry.machine
     specification = Specification.model_validate(
-        {"name": "benchmark", "scenarios": 1, "machines": [entry.machine], "observers": [name]}
+        {
+            **{"name": "benchmark", "scenarios": 1, "machines": [machine], "observers": [name]},
+            "drive": suite.ratings.get(entry.machine, {}),
+        }
     )
-    cell = cell_of(specification, entry.machine)
+    cell = cell_of(specification, machine)
     if name not in {found.name for found in entries_for(cell.machine)}:
         return None
     observer = candidate(ObserverTable(kind=name), cell, NOISE * cell.current)
     voltage, current = suite.log(entry)
-    held = hold_last(current)
-    began = time.perf_counter()
-    (record,) = observe(observer, shifted(voltage, -1)[None], held[None], ())
-    seconds = (time.perf_counter() - began) / len(voltage)
+    log = shifted(voltage, -1)[None], hold_last(current)[None]
+    for _ in range(2):  # the first run contains the time of the compilation
+        began = time.perf_counter()
+        (record,) = observe(observer, *log, ())
+        seconds = (time.perf_counter() - began) / len(voltage)
     return Estimates(record.theta_e, None, record.valid, record.speed_e, None, seconds)
 
 
@@ -192,32 +213,16 @@ def _stored(folder: Path, entry: Entry) -> Estimates:
     return _named({name: table[name].to_numpy() for name in OUTPUTS if name in table.columns})
 
 
-def _python(text: str) -> Callable[[Mapping[str, Any], float], Any]:
-    place, _, name = text.rpartition(":")
-    try:
-        if place.endswith(".py"):
-            specification = importlib.util.spec_from_file_location(Path(place).stem, place)
-            assert specification is not None
-            assert specification.loader is not None
-            module = importlib.util.module_from_spec(specification)
-            specification.loader.exec_module(module)
-        else:
-            module = importlib.import_module(place)
-    except (OSError, ImportError) as error:
-        raise FluxobsError(f"{text}: {error}") from None
-    if not hasattr(module, name):
-        raise FluxobsError(f"{text}: {place} has no {name}")
-    made: Callable[[Mapping[str, Any], float], Any] = getattr(module, name)
-    return made
+def _created(make: Callable[..., Any], machine: Path, sample_time: float) -> Stepped:
+    observer: Stepped = make(fields_of(machine), sample_time)
+    return observer
 
 
-def _file(suite: Suite, entry: Entry) -> dict[str, Any]:
-    return tomllib.loads((suite.folder / "machines" / f"{entry.machine}.toml").read_text("utf-8"))
-
-
-def _stepped(make: Callable[..., Any], suite: Suite, entry: Entry) -> Estimates:
+def _stepped(create: Create, suite: Suite, entry: Entry) -> Estimates | None:
     voltage, current = suite.log(entry)
-    observer = make(_file(suite, entry), entry.sample_time)
+    observer = create(suite.machine_file(entry), entry.sample_time)
+    if observer is None:
+        return None
     rows = list(zip(shifted(voltage, -1), current, strict=True))
     began = time.perf_counter()
     got = [observer.step(u, i) for u, i in rows]
@@ -230,43 +235,10 @@ def _stepped(make: Callable[..., Any], suite: Suite, entry: Entry) -> Estimates:
 def _at_once(make: Callable[..., Any], suite: Suite, entry: Entry) -> Estimates:
     voltage, current = suite.log(entry)
     began = time.perf_counter()
-    got = make(_file(suite, entry), entry.sample_time).estimate(voltage, current)
+    fields = fields_of(suite.machine_file(entry))
+    got = make(fields, entry.sample_time).estimate(voltage, current)
     seconds = (time.perf_counter() - began) / len(voltage)
     return _named({name: got[name] for name in OUTPUTS if name in got}, seconds)
-
-
-def _library(path: Path) -> Any:
-    try:
-        library = ctypes.CDLL(str(path.resolve()))
-        library.observer_new.restype = ctypes.c_void_p
-        library.observer_new.argtypes = [ctypes.c_char_p, ctypes.c_double]
-        library.observer_free.argtypes = [ctypes.c_void_p]
-        library.observer_step.argtypes = [ctypes.c_void_p, *[ctypes.POINTER(ctypes.c_double)] * 3]
-    except (OSError, AttributeError) as error:
-        raise FluxobsError(f"{path}: {error}") from None
-    return library
-
-
-def _in_c(library: Any, suite: Suite, entry: Entry) -> Estimates:
-    voltage, current = (np.ascontiguousarray(v, float) for v in suite.log(entry))
-    voltage = shifted(voltage, -1)
-    estimates = np.zeros((len(voltage), len(OUTPUTS)))
-    machine = str((suite.folder / "machines" / f"{entry.machine}.toml").resolve()).encode()
-    observer = library.observer_new(machine, entry.sample_time)
-    if not observer:
-        raise FluxobsError(f"{entry.name}: observer_new returned NULL")
-
-    def pointers(values: Array) -> list[Any]:
-        kind = ctypes.POINTER(ctypes.c_double)
-        return [row.ctypes.data_as(kind) for row in values]
-
-    rows = list(zip(pointers(voltage), pointers(current), pointers(estimates), strict=True))
-    began = time.perf_counter()
-    for row in rows:
-        library.observer_step(observer, *row)
-    seconds = (time.perf_counter() - began) / len(rows)
-    library.observer_free(observer)
-    return _ordered(list(estimates.T), seconds)
 
 
 def _ordered(values: list[Array], seconds: float) -> Estimates:

@@ -9,6 +9,7 @@ from pathlib import Path
 import polars as pl
 
 from ..core.output import make_folder, write_text
+from ..errors import FluxobsError
 from .entrants import Entrant
 from .scores import Score, Summary, table_of
 from .suite import Suite
@@ -92,16 +93,17 @@ def write_report(
     Raises
     ------
     FluxobsError
-        The folder cannot be written.
+        The folder cannot be written, or there are no scores.
     """
     make_folder(folder)
-    pl.concat(
-        [table_of(scores, entrant) for entrant, scores, _ in results], how="vertical_relaxed"
-    ).write_csv(folder / "scores.csv")
+    tables = [table_of(scores, entrant) for entrant, scores, _ in results if scores]
+    if not tables:
+        raise FluxobsError("no entrant has an observer for a machine of the suite")
+    pl.concat(tables, how="vertical_relaxed").write_csv(folder / "scores.csv")
     summaries = [summary for _, _, found in results for summary in found]
     frame = pl.DataFrame([asdict(summary) for summary in summaries], infer_schema_length=None)
     frame.write_csv(folder / SUMMARY)
-    heading = f"Suite {suite.version}, seed {suite.seed}, {len(suite.entries)} records\n\n"
+    heading = f"{suite.title}\n\n"
     parts = []
     for group in dict.fromkeys(summary.group for summary in summaries):
         members = [summary for summary in summaries if summary.group == group]

@@ -18,9 +18,12 @@ import polars as pl
 from ..comparison.scoring import LOST, settling_time
 from ..core.arrays import Array
 from ..errors import FluxobsError
+from ..machines import RotatingMachine
 from .entrants import Entrant, Estimates
 from .suite import Entry, Suite
 
+#: True theta_e [rad], and as far as known speed_e [rad/s] and torque [N m], of the rows.
+Truth = dict[str, Array]
 #: Miss rate of the interval, and its half width in standard deviations of a normal distribution.
 ALPHA, HALF_WIDTH = 0.05, 1.959964
 #: Quantiles of the errors that are kept of each record.
@@ -105,15 +108,17 @@ def score_entrant(
     for n, entry in enumerate(suite.entries):
         estimates = entrant.run(suite, entry)
         if estimates is not None:
-            scores.append(score(entrant.name, suite, entry, estimates))
+            truth = suite.truth(entry)
+            scores.append(score(entrant.name, suite.machine(entry), entry, truth, estimates))
         if progress is not None:
             progress(n + 1, len(suite.entries))
     return scores
 
 
-def score(name: str, suite: Suite, entry: Entry, estimates: Estimates) -> Score:
-    """Score the estimates of a record."""
-    truth, machine = suite.truth(entry), suite.machine(entry)
+def score(
+    name: str, machine: RotatingMachine, entry: Entry, truth: Truth, estimates: Estimates
+) -> Score:
+    """Score the estimates of a record; speed and torque are scored where they are known."""
     rows = len(truth["theta_e"])
     for values in estimates[:-1]:
         if values is not None and np.shape(values) != (rows,):
@@ -133,10 +138,12 @@ def score(name: str, suite: Suite, entry: Entry, estimates: Estimates) -> Score:
             return None
         return float(np.mean(of_valid <= multiple * known[valid]))
 
-    def rms(values: Array | None, true: Array) -> float | None:
-        if values is None or not len(of_valid):
+    def rms(values: Array | None, quantity: str) -> float | None:
+        if values is None or quantity not in truth:
             return None
-        return float(np.sqrt(np.nanmean((values - true)[valid] ** 2)))
+        squares = ((values - truth[quantity]) ** 2)[valid]
+        known_squares = squares[np.isfinite(squares)]
+        return float(np.sqrt(known_squares.mean())) if len(known_squares) else None
 
     settled = settling_time(t, error)
     wrong = valid & (error > WRONG)
@@ -159,8 +166,8 @@ def score(name: str, suite: Suite, entry: Entry, estimates: Estimates) -> Score:
         settled=float(settled) if np.isfinite(settled) else None,
         lost=float(np.mean(error > LOST)),
         sure_and_wrong=known is not None and bool((wrong & (error > WRONG_STDS * known)).any()),
-        speed=rms(estimates.speed_e, truth["speed_e"]),
-        torque=rms(estimates.torque, truth["torque"]),
+        speed=rms(estimates.speed_e, "speed_e"),
+        torque=rms(estimates.torque, "torque"),
         seconds=estimates.seconds,
         quantiles=np.quantile(error, (np.arange(KEPT) + 0.5) / KEPT),
     )
@@ -201,13 +208,15 @@ def best_constant(scores: Iterable[Score]) -> float:
 
 
 def summarise(entrant: Entrant, scores: list[Score]) -> list[Summary]:
-    """Return the summary of all records, then of each kind of errors and of each course."""
+    """Return the summary of all records, then of the kinds of errors and the courses, if many."""
     if not scores:
         return []
     constant = best_constant(scores)
     groups = [("all", scores)]
     for field in ("errors", "course"):
         names = dict.fromkeys(getattr(score, field) for score in scores)
+        if len(names) == 1:
+            continue
         groups += [(n, [s for s in scores if getattr(s, field) == n]) for n in names]
     return [_summary(entrant, name, members, constant) for name, members in groups]
 

@@ -14,7 +14,8 @@ import polars as pl
 from ..core.arrays import Array
 from ..core.output import make_folder, write_text
 from ..errors import FluxobsError
-from ..machines import RotatingMachine, as_machine, example_text, rotating
+from ..machines import RotatingMachine, as_machine, rotating
+from ..machines.files import copy_example
 from .draws import COURSES, ERRORS, MACHINES
 from .drives import simulated
 
@@ -45,17 +46,41 @@ class Entry:
 
 @dataclass(frozen=True)
 class Suite:
-    """A folder of records."""
+    """A folder of records.
+
+    Attributes
+    ----------
+    folder : path
+    seed : int
+        0 for measured records.
+    entries : tuple of Entry
+    ratings : dict
+        Ratings of the drives of machines that are not shipped, as in a campaign.
+    """
 
     folder: Path
-    version: int
     seed: int
     entries: tuple[Entry, ...]
+    ratings: dict[str, dict[str, float]]
+
+    @property
+    def measured(self) -> bool:
+        """Whether the records are measured."""
+        return bool(self.ratings)
+
+    @property
+    def title(self) -> str:
+        """Name of the suite in tables."""
+        what = "measured" if self.measured else f"seed {self.seed}"
+        return f"Suite {VERSION}, {what}, {len(self.entries)} records"
+
+    def machine_file(self, entry: Entry) -> Path:
+        """Return the machine file of a record, which the entrant knows."""
+        return self.folder / "machines" / f"{entry.machine}.toml"
 
     def machine(self, entry: Entry) -> RotatingMachine:
-        """Return the machine file of a record, which the entrant knows."""
-        path = self.folder / "machines" / f"{entry.machine}.toml"
-        return rotating(as_machine(path), "a benchmark")
+        """Return the machine of a record, as its file describes it."""
+        return rotating(as_machine(self.machine_file(entry)), "a benchmark")
 
     def log(self, entry: Entry) -> tuple[Array, Array]:
         """Return voltages and currents, (rows, 2): commanded from the row on, measured at it."""
@@ -64,7 +89,7 @@ class Suite:
         return voltage, table.select("i_alpha", "i_beta").to_numpy()
 
     def truth(self, entry: Entry) -> dict[str, Array]:
-        """Return theta_e [rad], speed_e [rad/s] and torque [N m] of the rows."""
+        """Return theta_e [rad] of the rows, and speed_e [rad/s] and torque [N m] if simulated."""
         table = pl.read_parquet(self.folder / "truth" / f"{entry.name}.parquet")
         return {name: table[name].to_numpy() for name in table.columns}
 
@@ -96,7 +121,7 @@ def write_suite(
     entries: list[Entry] = []
     cells = [(m, c, e) for m in MACHINES for c in COURSES for e in ERRORS]
     for n, (machine, course, errors) in enumerate(cells):
-        (folder / "machines" / f"{machine}.toml").write_text(example_text(machine), "utf-8")
+        copy_example(machine, folder / "machines")
         for k, drive in enumerate(simulated(machine, course, drives, seed, ERRORS[errors])):
             name = "-".join([machine, course, errors, str(k)]).replace(" ", "-")
             t = drive.sample_time * np.arange(len(drive.voltage))
@@ -109,9 +134,15 @@ def write_suite(
             entries.append(Entry(name, machine, course, errors, drive.sample_time))
         if progress is not None:
             progress(n + 1, len(cells))
-    index = {"version": VERSION, "seed": seed, "records": [asdict(entry) for entry in entries]}
-    write_text(folder / INDEX, json.dumps(index, indent=1) + "\n")  # last: the suite is complete
-    return Suite(folder, VERSION, seed, tuple(entries))
+    return write_index(Suite(folder, seed, tuple(entries), {}))
+
+
+def write_index(suite: Suite) -> Suite:
+    """Write the index, the last file of a suite: a suite with an index is complete."""
+    records = [asdict(entry) for entry in suite.entries]
+    index = {"version": VERSION, "seed": suite.seed, "ratings": suite.ratings, "records": records}
+    write_text(suite.folder / INDEX, json.dumps(index, indent=1) + "\n")
+    return suite
 
 
 def read_suite(folder: Path) -> Suite:
@@ -126,7 +157,7 @@ def read_suite(folder: Path) -> Suite:
     try:
         index = json.loads(path.read_text("utf-8"))
         entries = tuple(Entry(**record) for record in index["records"])
-        version, seed = int(index["version"]), int(index["seed"])
+        version, seed, ratings = int(index["version"]), int(index["seed"]), index["ratings"]
     except FileNotFoundError:
         raise FluxobsError(f"{folder}: no suite; make one with --seed in a new folder") from None
     except (OSError, ValueError, TypeError, KeyError):
@@ -135,4 +166,4 @@ def read_suite(folder: Path) -> Suite:
         raise FluxobsError(
             f"{folder}: suite of version {version}; this program scores version {VERSION}"
         )
-    return Suite(folder, version, seed, entries)
+    return Suite(folder, seed, entries, ratings)

@@ -101,6 +101,17 @@ def example_text(name: str) -> str:
     return str((_examples_folder() / f"{name}.toml").read_text(encoding="utf-8"))
 
 
+def copy_example(name: str, folder: Path) -> Path:
+    """Write a shipped machine file and its flux map into a folder; return the machine file."""
+    text = example_text(name)
+    path = folder / f"{name}.toml"
+    path.write_text(text, "utf-8")
+    table = tomllib.loads(text).get("flux_map")
+    if isinstance(table, str):
+        (folder / table).write_bytes((_examples_folder() / table).read_bytes())
+    return path
+
+
 #: What a function accepts as a machine: an object, a file, the name of a shipped example, or the
 #: fields of a machine file.
 MachineSource = Machine | str | Path | Mapping[str, Any]

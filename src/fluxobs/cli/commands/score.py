@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from ...errors import UsageError
 from .. import show
 from ..options import ForceOption, JsonOption, QuietOption
+
+if TYPE_CHECKING:
+    from ...benchmark import Suite
 
 
 class Track(StrEnum):
@@ -19,6 +23,14 @@ class Track(StrEnum):
 
     offline = "offline"
     causal = "causal"
+    closed_loop = "closed-loop"
+
+
+#: Tracks of a folder of estimates.
+STATED: dict[Track | None, Literal["offline", "causal"]] = {
+    Track.offline: "offline",
+    Track.causal: "causal",
+}
 
 
 def score(
@@ -43,7 +55,21 @@ def score(
         int,
         typer.Option(min=1, help="Drives of each machine, course and kind of errors, if new."),
     ] = 1,
-    track: Annotated[Track | None, typer.Option(help="Track of a folder of estimates.")] = None,
+    track: Annotated[
+        Track | None,
+        typer.Option(
+            help="offline or causal: track of a folder of estimates. closed-loop: the observers "
+            "control simulated drives, instead of reading logs."
+        ),
+    ] = None,
+    recipe: Annotated[
+        str | None,
+        typer.Option(
+            help="Make the suite from measured logs, as a recipe says: med2021-spmsm, or a file "
+            ".toml (docs/tasks/score.md). Needs --data."
+        ),
+    ] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder with the recipe's files.")] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for scores.csv, summary.csv and summary.md; default: none."),
@@ -55,9 +81,12 @@ def score(
     """Score an observer on simulated drives with known truth.
 
     The suite has logs of eight machines on four courses, with three kinds of errors. An entrant
-    sees the log and the machine file. Scores: position error over all rows and over the rows that
-    the entrant calls valid, coverage of its standard deviations, interval score, errors of speed
-    and torque, time per sample. Needs the extra "design" (JAX).
+    sees the log and the machine file. With --track closed-loop, it controls the drives; with
+    --recipe, the logs are measured ones.
+
+    Scores: position error over all rows and over the rows that the entrant calls valid, coverage of
+    its standard deviations, interval score, errors of speed and torque, time per sample. Needs the
+    extra "design" (JAX).
 
     Example: fluxobs score adaptive my_observer.py:Observer --suite suite
     """
@@ -68,16 +97,27 @@ def score(
     from ...core.output import make_folder
 
     names = [n for text in entrants for n in (published() if text == "published" else [text])]
-    known = [entrant(name, None if track is None else track.value) for name in names]
+    in_loop = track is Track.closed_loop
+    stated = STATED.get(track)
+    known = [entrant(name, stated) for name in names]
     if out is not None:
         make_folder(out, SUMMARY, force)  # an error now, not after the runs
     with show.Progress() as progress:
-        found = read_suite(suite) if (suite / INDEX).exists() else None
-        if found is None:
+        if (suite / INDEX).exists():
+            found = read_suite(suite)
+        elif recipe is not None:
+            found = _measured(suite, recipe, data, progress)
+        else:
             found = write_suite(suite, seed, drives, progress)
         results = []
         for one in known:
-            scores = score_entrant(one, found, progress)
+            if in_loop:
+                from ...benchmark.loop import score_in_loop
+
+                scores = score_in_loop(one, found, drives, progress)
+                one = replace(one, track=Track.closed_loop.value)
+            else:
+                scores = score_entrant(one, found, progress)
             results.append((one, scores, summarise(one, scores)))
     if out is not None:
         write_report(out, found, results)
@@ -85,5 +125,17 @@ def score(
     if as_json:
         typer.echo(json.dumps([asdict(summary) for summary in summaries]))
     elif not quiet:
-        typer.echo(f"Suite {found.version}, seed {found.seed}: {len(found.entries)} records.")
+        typer.echo(f"{found.title}.")
         typer.echo(text_table(summaries))
+
+
+def _measured(suite: Path, recipe: str, data: Path | None, progress: show.Progress) -> Suite:
+    """Make a suite of measured records."""
+    from ...benchmark.measured import read_recipe, write_measured
+
+    name, content = read_recipe(recipe)
+    if data is None:
+        raise UsageError(
+            f"--recipe {recipe} needs --data, the folder with {content.files} of {content.source}"
+        )
+    return write_measured(suite, name, content, data, progress)
