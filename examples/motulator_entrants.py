@@ -35,7 +35,7 @@ class FluxObserver:
                 self.n_p, machine["R_s"], machine["R_R"], machine["L_sigma"], machine["L_M"]
             )
             flux = machine["L_M"] * machine["rated_current"] / 2**0.5
-            cage = im.CurrentVectorControllerCfg(psi_R_nom=flux, i_s_max=largest, T_s=sample_time)
+            cage = im.CurrentVectorControllerCfg(psi_s_nom=flux, i_s_max=largest, T_s=sample_time)
             self.observer = im.CurrentVectorController(par, cage).observer
             return
         L_d, L_q = (machine.get(name, machine.get("L_s")) for name in ("L_d", "L_q"))

@@ -90,6 +90,11 @@ def cell_of(specification: Specification, name: str) -> Cell:
     return _cell(name, tuple(sorted(drive_table.items())))
 
 
+def planned_cell(name: str, rated: Rating) -> Cell:
+    """Return the nominal drive of a machine with these ratings (cached)."""
+    return _cell(name, tuple(sorted(vars(rated).items())))
+
+
 def motor_of(machine: RotatingMachine, values: dict[str, float]) -> Motor:
     """Return the motor of a scenario: the machine with its tolerances at its temperature."""
     temperature_rise = values.get("temperature", COLD) - COLD

@@ -1,0 +1,419 @@
+"""The test after which the parameters are known: set points of speed and current.
+
+**Information.** A stay at a set point tells a matrix of information on everything that the estimate
+of a log assumes: P⁻¹ - P₀⁻¹, from the covariance that the estimate has after a record of this stay
+alone, and before it. Stays add up, and the parameters' standard deviations follow from the sum.
+Each stay is chosen for the largest decrease of the standard deviations beyond their targets, per
+second. A set point is visited once: a longer stay repeats the same unmodelled errors.
+
+**Promise.** The chosen points become a course with ramps between them, for which the record of the
+nominal machine follows in closed form. The standard deviations that the estimate of this record
+states are the promise; stays are added until it holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..core.arrays import Array
+from ..errors import FluxobsError, UsageError
+from ..identification.identify import mechanics_of
+from ..logs.scales import Scales
+from ..machines import InductionMachine, RotatingMachine
+from ..presentation import Result, estimate
+from ..simulation.closed_form.signals import driven, vectors
+from ..simulation.drive import Rating
+from ..smoothing.assumptions import Calibration
+from ..smoothing.record import RecordSamples, SmoothingModel, smooth_record
+from .setup import Sensors
+
+#: Speeds as shares of the rated speed; lengths of the current vector as shares of the rated
+#: current, and its directions.
+SPEEDS = (0.05, 0.1, 0.2, 0.4, 0.7, 0.95)
+LENGTHS, DIRECTIONS = (0.35, 0.65, 0.95), 12
+#: Smallest current along d of a machine without magnets, as a share of the rated current: without
+#: it there is no flux, and no position.
+LEAST_D = 0.25
+#: A stay [s]; ramps from rest to rated speed [s], shortest change between set points [s].
+STAY, RAMP, CHANGE = 0.25, 1.0, 0.1
+#: Largest voltage of a set point as a share of what the link gives.
+VOLTAGE = 0.95
+#: Most set points.
+MOST = 40
+#: Rotation in a stay below which a set point tells nothing [rad].
+LEAST_TURN = 2 * np.pi
+#: Parts of a sample over which the record is integrated.
+PARTS = 8
+#: Noise of the controller's current at a set point is that of the sensors; angle of the observer
+#: that anchors a stay [rad].
+ANCHOR = 0.02
+#: A planned standard deviation is this share of its target, as the rest comes from rounding, noise
+#: and ramps.
+MARGIN = 0.9
+#: Speed ramps that tell the inertia: range as shares of the rated speed, torque as a share of the
+#: rated one, most repetitions.
+LOW, HIGH, TORQUE, MOST_RAMPS = 0.25, 0.75, 0.5, 32
+
+
+@dataclass(frozen=True)
+class Knot:
+    """A corner of the course; between corners, everything is linear in time.
+
+    Attributes
+    ----------
+    t : float
+        [s].
+    speed : float
+        Mechanical [rad/s].
+    i_d, i_q : float
+        Current in rotor coordinates [A].
+    free : bool
+        The shaft is free after the corner: speed follows the speed controller, i_q is expected.
+    """
+
+    t: float
+    speed: float
+    i_d: float
+    i_q: float
+    free: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """A test.
+
+    Attributes
+    ----------
+    knots : tuple of Knot
+    points : int
+        Set points.
+    stds : dict
+        Promised standard deviations [unit of the parameter].
+    values : dict
+        Nominal values.
+    """
+
+    knots: tuple[Knot, ...]
+    points: int
+    stds: dict[str, float]
+    values: dict[str, float]
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return self.knots[-1].t
+
+
+@dataclass(frozen=True)
+class _Point:
+    speed: float  # electrical [rad/s]
+    current: complex  # [A]
+
+
+def known_parameters(machine: RotatingMachine, inertia: float | None) -> dict[str, float]:
+    """Return the parameters that a test can tell, with their nominal values."""
+    values = {"R_s": machine.R_s}
+    values |= dict(zip(machine.inductances, machine.L_dq, strict=True))
+    if machine.magnets:
+        values["psi_f"] = machine.magnet_flux or 0.0
+    values["inverter"] = machine.inverter_voltage or 0.0
+    if inertia is not None:
+        values["J"] = inertia
+    return values
+
+
+class Planner:
+    """Plans a test of a drive.
+
+    Parameters
+    ----------
+    machine : RotatingMachine
+        Synchronous, with rated_current.
+    rated : Rating
+    sensors : Sensors
+    wanted : mapping
+        Parameter → standard deviation in its unit: R_s [Ω], inductances [H], psi_f [Wb],
+        inverter [V], J [kg m²].
+    priors : mapping
+        As for :func:`fluxobs.estimate`.
+    loaded : bool
+        A load machine holds the speed; else only currents along d are set points.
+
+    Raises
+    ------
+    UsageError
+        The machine has no such parameter, or no log can tell it that well.
+    """
+
+    def __init__(
+        self,
+        machine: RotatingMachine,
+        rated: Rating,
+        sensors: Sensors,
+        wanted: Mapping[str, float],
+        priors: Mapping[str, float],
+        loaded: bool = True,
+    ) -> None:
+        if isinstance(machine, InductionMachine):
+            raise UsageError("tests are planned for synchronous machines, not for induction ones")
+        assert machine.rated_current is not None  # as in rating_of
+        self.machine, self.rated, self.sensors = machine, rated, sensors
+        self.wanted, self.priors, self.loaded = dict(wanted), dict(priors), loaded
+        self.current = machine.rated_current
+        self.values = known_parameters(machine, rated.J)
+        self._check_wanted()
+        flux = machine.flux_base(self.current)
+        assert flux is not None
+        scales = Scales(self.current, rated.speed_e * flux, sensors.noise, 0.0, 0.5 * rated.speed_e)
+        self.model = SmoothingModel.of(
+            *(machine, scales, rated.sample_time, flux, sensors.total_noise),
+            *(0.5 * rated.speed_e, self.priors),
+        )
+
+    def _check_wanted(self) -> None:
+        scale = Calibration.of(self.priors)
+        floors = {name: scale.ratio for name in ("R_s", *self.machine.inductances, "J")}
+        floors["psi_f"] = scale.voltage
+        for name, std in self.wanted.items():
+            if name not in self.values:
+                raise UsageError(
+                    f"--want {name}: this machine has {', '.join(self.values)} to be known"
+                )
+            least = floors.get(name, 0.0) * abs(self.values[name])
+            if not std > least:
+                raise UsageError(
+                    f"--want {name}: no log tells it better than ± {least:.3g}, since the scales "
+                    f"of the sensors are unknown; if they are known better, state it: "
+                    f"--prior voltage_scale=0.005 --prior current_scale=0.005"
+                )
+
+    def plan(self, progress: Callable[[int, int], Any] | None = None) -> Sequence:
+        """Return the shortest sequence that was found.
+
+        Raises
+        ------
+        FluxobsError
+            Even all set points do not tell the parameters that well.
+        """
+        candidates = self._candidates()
+        information = []
+        for n, point in enumerate(candidates):
+            information.append(self._information(point))
+            if progress is not None:
+                progress(n + 1, len(candidates))
+        margin, result = MARGIN, None
+        for _ in range(8):
+            chosen = self._chosen(candidates, information, margin)
+            result = self._promised(chosen)
+            short = max(
+                (result.stds[name] / std for name, std in self.wanted.items() if name != "J"),
+                default=0.0,
+            )
+            if short <= 1:
+                return self._with_ramps(result)
+            if len(chosen) >= min(MOST, len(candidates)):
+                break
+            margin *= 0.9 / short
+        assert result is not None
+        reached = ", ".join(f"{name} ± {result.stds[name]:.3g}" for name in self.wanted)
+        raise FluxobsError(
+            f"{len(candidates)} set points do not tell the parameters that well; they reach "
+            f"{reached}. Better sensors, or priors of what is known (--prior) help"
+        )
+
+    def _candidates(self) -> list[_Point]:
+        limit = VOLTAGE * self.rated.dc_link / 3**0.5
+        turns = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
+        currents = [0j, *(length * turn for length in LENGTHS for turn in turns)]
+        if not self.loaded:
+            currents = [current for current in currents if abs(current.imag) < 1e-9]
+        if not self.machine.magnets:
+            currents = [current for current in currents if current.real > LEAST_D]
+        points = []
+        for share in SPEEDS:
+            speed = share * self.rated.speed_e
+            for current in currents:
+                i = self.current * current
+                voltage = self.machine.R_s * i + 1j * speed * complex(self.machine.flux_dq(i))
+                if abs(voltage) < limit and speed * STAY > LEAST_TURN:
+                    points.append(_Point(speed, i))
+        return points
+
+    def _record(self, t: Array, speed: Array, current: Any) -> tuple[Array, Array, Array]:
+        """Return mean voltage until each row, measured current, and angle of a course."""
+        h = self.rated.sample_time
+        signals = driven(self.machine, h, speed, current, PARTS, theta0=0.3)
+        rng = np.random.default_rng(len(t))
+        true = vectors(signals.current)[:-1]
+        measured = true + self.sensors.noise * rng.standard_normal(true.shape)
+        step = self.sensors.step
+        measured = np.round(measured / step) * step if step > 0 else measured
+        return vectors(signals.voltage), np.asarray(measured, float), signals.theta_e[:-1]
+
+    def _information(self, point: _Point) -> Array:
+        """Return the information of a stay on the assumptions that are not exact."""
+        count = round(STAY / self.rated.sample_time) * PARTS + 1
+        constant = np.ones(count)
+        u, i, theta = self._record(
+            constant[::PARTS], point.speed * constant, point.current * constant
+        )
+        before = np.concatenate([np.full((1, 2), np.nan), u[:-1]])
+        samples = RecordSamples(
+            before, i, np.zeros(len(i), np.int64), theta, np.full(len(i), ANCHOR)
+        )
+        start = self.model.prior()
+        record = smooth_record(self.model, samples, start, learning=True)
+        if not record.settled:
+            return 0 * start.covariance
+        gained = np.linalg.inv(record.assumed.covariance) - np.linalg.inv(start.covariance)
+        values, axes = np.linalg.eigh((gained + gained.T) / 2)
+        return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
+
+    def _chosen(
+        self, candidates: list[_Point], information: list[Array], margin: float
+    ) -> list[_Point]:
+        total: Array = np.asarray(np.linalg.inv(self.model.prior().covariance), float)
+        left, chosen = list(range(len(candidates))), list[_Point]()
+        best = self._excess(total, margin)
+        while left and best > 0 and len(chosen) < MOST:
+            scores = [self._excess(total + information[k], margin) for k in left]
+            k = left[int(np.argmin(scores))]
+            if not min(scores) < best:
+                break
+            total, best = total + information[k], min(scores)
+            chosen.append(candidates[k])
+            left.remove(k)
+        return chosen
+
+    def _excess(self, information: Array, margin: float) -> float:
+        """Return by how much standard deviations exceed their targets, in logarithms."""
+        covariance = np.asarray(np.linalg.inv(information), float)
+        stds = self._stds(covariance)
+        return sum(
+            max(0.0, float(np.log(stds[name] / (margin * std))))
+            for name, std in self.wanted.items()
+            if name in stds
+        )
+
+    def _stds(self, covariance: Array) -> dict[str, float]:
+        """Return the standard deviations of parameters from that of the assumptions."""
+        at = {name: n for n, name in enumerate(self.model.active)}
+        scale = Calibration.of(self.priors)
+
+        def std(*names: str) -> float:
+            rows = [at[name] for name in names if name in at]
+            return float(np.sqrt(max(covariance[np.ix_(rows, rows)].sum(), 0.0)))
+
+        psi = abs(self.values.get("psi_f", 0.0))
+        stds = {
+            "R_s": np.hypot(std("resistance"), scale.ratio * self.machine.R_s),
+            "inverter": std("inverter_hard", "inverter_soft"),
+            "psi_f": np.hypot(std("psi_f"), scale.voltage * psi),
+        }
+        for axis, name, L in zip("dq", self.machine.inductances, self.machine.L_dq, strict=True):
+            if f"L_{axis}" in at:
+                share = (
+                    std(f"L_{axis}")
+                    if f"saturation_{axis}" not in at
+                    else self._bent(covariance, at, axis)
+                )
+                stds[name] = L * np.hypot(share, scale.ratio)
+        return {name: float(value) for name, value in stds.items()}
+
+    @staticmethod
+    def _bent(covariance: Array, at: dict[str, int], axis: str) -> float:
+        """Return the standard deviation of an inductance at half the rated current [1]."""
+        slope = np.zeros(len(at))
+        slope[at[f"L_{axis}"]], slope[at[f"saturation_{axis}"]] = 1.0, -0.5
+        return float(np.sqrt(slope @ covariance @ slope))
+
+    def course(self, chosen: list[_Point]) -> list[Knot]:
+        """Return the corners of a course through set points, from rest."""
+        least = 0.0 if self.machine.magnets else LEAST_D * self.current * 1.5
+        n_p = self.machine.n_p
+        t, last = 0.05, _Point(0.0, complex(least))
+        knots = [Knot(0.0, 0.0, least, 0.0), Knot(t, 0.0, least, 0.0)]
+        order = sorted(chosen, key=lambda p: (p.speed, np.angle(p.current), abs(p.current)))
+        for point in order:
+            t += max(CHANGE, RAMP * abs(point.speed - last.speed) / self.rated.speed_e)
+            i = point.current
+            knots.append(Knot(t, point.speed / n_p, i.real, i.imag))
+            t += STAY
+            knots.append(Knot(t, point.speed / n_p, i.real, i.imag))
+            last = point
+        return knots
+
+    def run(self, knots: list[Knot]) -> Result:
+        """Estimate the record of a course with the nominal machine."""
+        h, n_p = self.rated.sample_time, self.machine.n_p
+        rows = round(knots[-1].t / h)
+        t = np.arange(rows * PARTS + 1) * h / PARTS
+        corners = np.array([knot.t for knot in knots])
+        speed = n_p * np.interp(t, corners, [knot.speed for knot in knots])
+        i_d = np.interp(t, corners, [knot.i_d for knot in knots])
+        i_q = np.interp(t, corners, [knot.i_q for knot in knots])
+        u, i, _ = self._record(t[::PARTS], speed, i_d + 1j * i_q)
+        return estimate((u, i), self.machine, sample_time=h, lag=0, priors=self.priors)
+
+    def _promised(self, chosen: list[_Point]) -> Sequence:
+        knots = self.course(chosen)
+        result = self.run(knots)
+        learnt = result.learnt
+        if learnt is None or not result.statistics.valid:
+            stds = dict.fromkeys(self.values, np.inf)
+        else:
+            stds = {
+                "R_s": learnt.resistance_std,
+                "psi_f": learnt.psi_f_std,
+                "inverter": learnt.inverter_std,
+            }
+            for name, L, share in zip(
+                self.machine.inductances, self.machine.L_dq, learnt.inductance_std, strict=True
+            ):
+                stds.setdefault(name, L * share)
+            stds = {name: stds[name] for name in self.values if name in stds}
+        return Sequence(tuple(knots), len(chosen), stds, self.values)
+
+    def _with_ramps(self, sequence: Sequence) -> Sequence:
+        """Append ramps of the free shaft until the inertia is known, if it is wanted."""
+        if "J" not in self.wanted:
+            return sequence
+        ramps = 2
+        while True:
+            knots = [*sequence.knots, *self._ramps(sequence.knots[-1], ramps)]
+            std = float(mechanics_of(self.run(knots)).stds["J"])
+            if std <= self.wanted["J"]:
+                stds = sequence.stds | {"J": std}
+                return Sequence(tuple(knots), sequence.points, stds, self.values)
+            if ramps >= MOST_RAMPS:
+                raise FluxobsError(
+                    f"{ramps} ramps tell J only to ± {std:.3g} kg m²; the torque limits it: its "
+                    f"scale is that of voltage and current"
+                )
+            ramps *= 2
+
+    def _ramps(self, last: Knot, count: int) -> list[Knot]:
+        """Return ramps up and down after a corner."""
+        n_p, rated = self.machine.n_p, self.rated
+        i_d = 0.0 if self.machine.magnets else 0.5 * self.current
+        torque = TORQUE * rated.torque
+        i_q = np.linspace(0.0, 1.5 * self.current, 301)
+        flux = self.machine.flux_dq(i_d + 1j * i_q)
+        given = 1.5 * n_p * (flux.real * i_q - flux.imag * i_d)
+        amount = float(np.interp(torque, given, i_q))
+        low, high = (share * rated.speed_e / n_p for share in (LOW, HIGH))
+        duration = rated.J * (high - low) / torque
+        t = last.t + max(CHANGE, RAMP * abs(low - last.speed) * n_p / rated.speed_e)
+        knots = [Knot(t, low, i_d, 0.0, True)]
+        for _ in range(count):
+            for target, sign in ((high, 1.0), (low, -1.0)):
+                start = knots[-1].speed
+                for share, i in ((0.02, sign), (0.98, sign), (1.0, 0.0), (1.25, 0.0)):
+                    speed = start + min(share, 1.0) * (target - start)
+                    knots.append(Knot(t + share * duration, speed, i_d, i * amount, True))
+                t += 1.25 * duration
+        return knots
