@@ -29,7 +29,7 @@ def drawn(name: str, drives: int, seed: int, plan_loads: tuple[float, ...]) -> n
     machine = rotating(example(name), "a benchmark")
     rated = rating_of(machine, name)
     cell = planned_cell(name, rated)
-    sensors = Sensors.usual(cell.current)
+    sensors = Sensors.usual(cell.current, cell.rated)
     observer = observer_of(sensors, cell)
     rng = np.random.default_rng([seed, MACHINES.index(name)])
     found = []
@@ -57,7 +57,7 @@ def main() -> None:
     for name in given.machines:
         machine = rotating(example(name), "a benchmark")
         cell = planned_cell(name, rating_of(machine, name))
-        plan = plan_drive(cell, Sensors.usual(cell.current))
+        plan = plan_drive(cell, Sensors.usual(cell.current, cell.rated))
         loads = list(plan.known.loads)
         planned = 100 * plan.known.lowest()[[loads.index(load) for load in LOADS]]
         speeds = 100 * drawn(name, given.drives, given.seed, LOADS)

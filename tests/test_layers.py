@@ -95,4 +95,4 @@ def test_only_some_rooms_may_load_jax():
         here = str(path.relative_to(ROOT).with_suffix(""))
         modules = [name for name in imports(path) if not name.startswith("research/paper")]
         if any(module.startswith(JAX) for module in modules):
-            assert here.startswith((*JAX, "comparison", "campaigns", "benchmark")), path
+            assert here.startswith((*JAX, "comparison", "campaigns", "benchmark", "planning")), path

@@ -154,16 +154,21 @@ def read_suite(folder: Path) -> Suite:
         The folder contains no complete suite, or one of another version.
     """
     path = folder / INDEX
+    malformed = FluxobsError(f"{path}: malformed; make the suite again in a new folder")
     try:
         index = json.loads(path.read_text("utf-8"))
-        entries = tuple(Entry(**record) for record in index["records"])
-        version, seed, ratings = int(index["version"]), int(index["seed"]), index["ratings"]
+        version = int(index["version"])
     except FileNotFoundError:
         raise FluxobsError(f"{folder}: no suite; make one with --seed in a new folder") from None
     except (OSError, ValueError, TypeError, KeyError):
-        raise FluxobsError(f"{path}: malformed; make the suite again in a new folder") from None
+        raise malformed from None
     if version != VERSION:
         raise FluxobsError(
             f"{folder}: suite of version {version}; this program scores version {VERSION}"
         )
+    try:
+        entries = tuple(Entry(**record) for record in index["records"])
+        seed, ratings = int(index["seed"]), dict(index["ratings"])
+    except (ValueError, TypeError, KeyError):
+        raise malformed from None
     return Suite(folder, seed, entries, ratings)

@@ -29,6 +29,7 @@ from .commands.live import live
 from .commands.machine import app as machine
 from .commands.machines import machines
 from .commands.page import page
+from .commands.plan import plan, plan_test
 from .commands.presets import presets
 from .commands.reproduce import reproduce
 from .commands.score import score
@@ -80,11 +81,12 @@ def _options(
 
 
 COMMANDS = (
-    *(estimate, check, channels, identify, fleet, compare, score, campaign, export),
+    *(estimate, check, channels, identify, plan_test, fleet, compare, score, campaign, export),
     *(live, page, machines, presets, demo, reproduce),
 )
 for command in COMMANDS:
-    app.command(name=command.__name__)(command)
+    app.command(name=command.__name__.replace("_", "-"))(command)
+machine.command(name="plan")(plan)
 app.add_typer(machine, name="machine")
 
 

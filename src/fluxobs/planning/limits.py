@@ -234,9 +234,13 @@ class Plan:
 
 
 def plan_drive(
-    cell: Cell, sensors: Sensors, progress: Callable[[int, int], Any] | None = None
+    cell: Cell,
+    sensors: Sensors,
+    progress: Callable[[int, int], Any] | None = None,
+    loads: Sequence[float] = LOADS,
+    speeds: Array = SPEEDS,
 ) -> Plan:
-    """Return the plan of a drive."""
+    """Return the plan of a drive over loads and speeds, as shares of the rated values."""
     total = 1 + len(KNOWN) + len(BETTER)
 
     def report(done: int) -> None:
@@ -244,26 +248,26 @@ def plan_drive(
             progress(done, total)
 
     observer = observer_of(sensors, cell)
-    traces = simulate_map(cell, quantities(sensors, cell, SIGNS))
-    known = map_of(observer, cell, traces)
+    traces = simulate_map(cell, quantities(sensors, cell, SIGNS), loads, speeds)
+    known = map_of(observer, cell, traces, loads, speeds)
     report(1)
     lowest = known.lowest()
     at = int(np.nanargmax(lowest)) if np.isfinite(lowest).any() else 0
     if np.isnan(lowest).any():  # a load at which no speed is valid
         at = int(np.flatnonzero(np.isnan(lowest))[0])
-    load = (LOADS[at],)
+    load = (loads[at],)
     before = Map(
         known.speeds, np.array(load), known.valid[[at]], known.std[[at]], known.error[[at]]
     )
     gains = []
     for what, (names, remedy) in KNOWN.items():
         halved = replace(observer, **{name: 0.5 * getattr(observer, name) for name in names})
-        gains.append(_gain(what, remedy, before, map_of(halved, cell, [traces[at]], load)))
+        gains.append(_gain(what, remedy, before, map_of(halved, cell, [traces[at]], load, speeds)))
         report(1 + len(gains))
     for what, (factors, remedy) in BETTER.items():
         better = replace(sensors, **{n: f * getattr(sensors, n) for n, f in factors.items()})
-        simulated = simulate_map(cell, quantities(better, cell, SIGNS), load)
-        after = map_of(observer_of(better, cell), cell, simulated, load)
+        simulated = simulate_map(cell, quantities(better, cell, SIGNS), load, speeds)
+        after = map_of(observer_of(better, cell), cell, simulated, load, speeds)
         gains.append(_gain(what, remedy, before, after))
         report(1 + len(gains))
     ranked = sorted(gains, key=lambda gain: gain.lowest * gain.std)

@@ -14,7 +14,7 @@ states are the promise; stays are added until it holds.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from ..identification.identify import mechanics_of
 from ..logs.scales import Scales
 from ..machines import InductionMachine, RotatingMachine
 from ..presentation import Result, estimate
-from ..simulation.closed_form.signals import driven, vectors
+from ..simulation.closed_form.signals import driven, inverter_loss, vectors
 from ..simulation.drive import Rating
 from ..smoothing.assumptions import Calibration
 from ..smoothing.record import RecordSamples, SmoothingModel, smooth_record
@@ -33,30 +33,45 @@ from .setup import Sensors
 
 #: Speeds as shares of the rated speed; lengths of the current vector as shares of the rated
 #: current, and its directions.
-SPEEDS = (0.05, 0.1, 0.2, 0.4, 0.7, 0.95)
+SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 0.95)
 LENGTHS, DIRECTIONS = (0.35, 0.65, 0.95), 12
 #: Smallest current along d of a machine without magnets, as a share of the rated current: without
 #: it there is no flux, and no position.
 LEAST_D = 0.25
-#: A stay [s]; ramps from rest to rated speed [s], shortest change between set points [s].
+#: Shortest stay [s]; ramps from rest to rated speed [s], shortest change between set points [s].
 STAY, RAMP, CHANGE = 0.25, 1.0, 0.1
+#: Pause at rest in which the shaft is uncoupled, or the load machine switched off [s].
+PAUSE = 0.5
 #: Largest voltage of a set point as a share of what the link gives.
 VOLTAGE = 0.95
-#: Most set points.
-MOST = 40
-#: Rotation in a stay below which a set point tells nothing [rad].
-LEAST_TURN = 2 * np.pi
+#: The first set point, shares of the rated speed and current: without a position on the way, the
+#: rest tells nothing.
+FIRST_SPEED, FIRST, FIRST_WITHOUT_MAGNETS = 0.4, (0.0, 0.35), (0.5, 0.35)
+#: Fewest and most set points, and most rounds in which they become more.
+LEAST, MOST, ROUNDS = 1, 40, 12
+#: Least rotation in a stay [rad]: over a turn, every error of a phase shows.
+LEAST_TURN = 2.4 * np.pi
 #: Parts of a sample over which the record is integrated.
 PARTS = 8
 #: Noise of the controller's current at a set point is that of the sensors; angle of the observer
 #: that anchors a stay [rad].
 ANCHOR = 0.02
+#: Loss of the planned inverter over its prior standard deviation, and its knee over the rated
+#: current: what the estimate does not know of a loss grows with the loss.
+LOSS, KNEE = 0.6, 0.03
 #: A planned standard deviation is this share of its target, as the rest comes from rounding, noise
 #: and ramps.
 MARGIN = 0.9
-#: Speed ramps that tell the inertia: range as shares of the rated speed, torque as a share of the
-#: rated one, most repetitions.
-LOW, HIGH, TORQUE, MOST_RAMPS = 0.25, 0.75, 0.5, 32
+#: Usual wishes: shares of a value, and of the rated resistive drop for the inverter's loss.
+SHARE, INVERTER_SHARE = 0.05, 0.1
+#: Speed ramps that tell the inertia: range as shares of the rated speed, largest torque as a share
+#: of the rated one, shortest ramps [s] in the order in which they are tried (short ramps need more
+#: torque, which is known better; in too short ones the position is not valid), time of all [s].
+LOW, HIGH, TORQUE, SHORTEST, RAMPS = 0.35, 0.95, 0.8, (0.03, 0.06, 0.12, 0.25), 2.0
+#: Least share of valid rows of the ramps.
+VALID = 0.95
+#: A ramp: share of its duration, of the change of the speed, of the current.
+TRAPEZOID = ((0.1, 0.05 / 0.9, 1.0), (0.9, 0.85 / 0.9, 1.0), (1.0, 1.0, 0.0), (1.25, 1.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -91,6 +106,8 @@ class Sequence:
     knots : tuple of Knot
     points : int
         Set points.
+    ramps_from : float
+        Time from which on the shaft is free [s]; the duration if it never is.
     stds : dict
         Promised standard deviations [unit of the parameter].
     values : dict
@@ -99,6 +116,7 @@ class Sequence:
 
     knots: tuple[Knot, ...]
     points: int
+    ramps_from: float
     stds: dict[str, float]
     values: dict[str, float]
 
@@ -113,6 +131,11 @@ class _Point:
     speed: float  # electrical [rad/s]
     current: complex  # [A]
 
+    @property
+    def stay(self) -> float:
+        """Time at the set point [s]."""
+        return max(STAY, LEAST_TURN / self.speed)
+
 
 def known_parameters(machine: RotatingMachine, inertia: float | None) -> dict[str, float]:
     """Return the parameters that a test can tell, with their nominal values."""
@@ -124,6 +147,18 @@ def known_parameters(machine: RotatingMachine, inertia: float | None) -> dict[st
     if inertia is not None:
         values["J"] = inertia
     return values
+
+
+def usual_wants(machine: RotatingMachine) -> dict[str, tuple[float, float]]:
+    """Return usual wishes, and what a percentage refers to: name → (std, value)."""
+    assert machine.rated_current is not None  # as in rating_of
+    drop = machine.R_s * machine.rated_current
+    wants = {
+        name: (SHARE * value, value)
+        for name, value in known_parameters(machine, None).items()
+        if name != "inverter"
+    }
+    return wants | {"inverter": (INVERTER_SHARE * drop, drop)}
 
 
 class Planner:
@@ -176,18 +211,20 @@ class Planner:
 
     def _check_wanted(self) -> None:
         scale = Calibration.of(self.priors)
-        floors = {name: scale.ratio for name in ("R_s", *self.machine.inductances, "J")}
-        floors["psi_f"] = scale.voltage
+        shares = {name: scale.ratio for name in ("R_s", *self.machine.inductances, "J")}
+        shares["psi_f"] = scale.voltage
+        self.floors = {
+            name: shares.get(name, 0.0) * abs(value) for name, value in self.values.items()
+        }
         for name, std in self.wanted.items():
             if name not in self.values:
                 raise UsageError(
                     f"--want {name}: this machine has {', '.join(self.values)} to be known"
                 )
-            least = floors.get(name, 0.0) * abs(self.values[name])
-            if not std > least:
+            if not std > self.floors[name]:
                 raise UsageError(
-                    f"--want {name}: no log tells it better than ± {least:.3g}, since the scales "
-                    f"of the sensors are unknown; if they are known better, state it: "
+                    f"--want {name}: no log tells it better than ± {self.floors[name]:.3g}, since "
+                    f"the scales of the sensors are unknown; if they are known better, state it: "
                     f"--prior voltage_scale=0.005 --prior current_scale=0.005"
                 )
 
@@ -205,24 +242,24 @@ class Planner:
             information.append(self._information(point))
             if progress is not None:
                 progress(n + 1, len(candidates))
-        margin, result = MARGIN, None
-        for _ in range(8):
-            chosen = self._chosen(candidates, information, margin)
+        factors, least = dict.fromkeys(self.wanted, 1.0), LEAST
+        for _ in range(ROUNDS):
+            chosen, predicted = self._chosen(candidates, information, factors, least)
             result = self._promised(chosen)
-            short = max(
-                (result.stds[name] / std for name, std in self.wanted.items() if name != "J"),
-                default=0.0,
-            )
-            if short <= 1:
+            reached = {name: result.stds[name] for name in self.wanted if name != "J"}
+            if all(std <= self.wanted[name] for name, std in reached.items()):
                 return self._with_ramps(result)
             if len(chosen) >= min(MOST, len(candidates)):
                 break
-            margin *= 0.9 / short
-        assert result is not None
-        reached = ", ".join(f"{name} ± {result.stds[name]:.3g}" for name in self.wanted)
+            least = len(chosen) + 1
+            for name, std in reached.items():
+                own = std**2 - self.floors[name] ** 2
+                if np.isfinite(own):  # else the position is not known on the way
+                    factors[name] = max(own, 0.0) ** 0.5 / predicted[name]
+        text = ", ".join(f"{name} ± {std:.3g}" for name, std in reached.items())
         raise FluxobsError(
             f"{len(candidates)} set points do not tell the parameters that well; they reach "
-            f"{reached}. Better sensors, or priors of what is known (--prior) help"
+            f"{text}. Better sensors, or priors of what is known (--prior) help"
         )
 
     def _candidates(self) -> list[_Point]:
@@ -237,9 +274,9 @@ class Planner:
         for share in SPEEDS:
             speed = share * self.rated.speed_e
             for current in currents:
-                i = self.current * current
+                i = complex(np.round(self.current * current, 4))
                 voltage = self.machine.R_s * i + 1j * speed * complex(self.machine.flux_dq(i))
-                if abs(voltage) < limit and speed * STAY > LEAST_TURN:
+                if abs(voltage) < limit:
                     points.append(_Point(speed, i))
         return points
 
@@ -252,11 +289,13 @@ class Planner:
         measured = true + self.sensors.noise * rng.standard_normal(true.shape)
         step = self.sensors.step
         measured = np.round(measured / step) * step if step > 0 else measured
-        return vectors(signals.voltage), np.asarray(measured, float), signals.theta_e[:-1]
+        lost = LOSS * self.model.stds["inverter_hard"]
+        u = signals.voltage + inverter_loss(signals.mean_current, lost, KNEE * self.current)
+        return vectors(u), np.asarray(measured, float), signals.theta_e[:-1]
 
     def _information(self, point: _Point) -> Array:
         """Return the information of a stay on the assumptions that are not exact."""
-        count = round(STAY / self.rated.sample_time) * PARTS + 1
+        count = round(point.stay / self.rated.sample_time) * PARTS + 1
         constant = np.ones(count)
         u, i, theta = self._record(
             constant[::PARTS], point.speed * constant, point.current * constant
@@ -274,55 +313,61 @@ class Planner:
         return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
     def _chosen(
-        self, candidates: list[_Point], information: list[Array], margin: float
-    ) -> list[_Point]:
+        self,
+        candidates: list[_Point],
+        information: list[Array],
+        factors: dict[str, float],
+        least: int,
+    ) -> tuple[list[_Point], dict[str, float]]:
+        """Return set points, and the standard deviations from the sum of their information.
+
+        `factors` are standard deviations of a whole record over those of the sum: errors that all
+        stays share do not average out.
+        """
         total: Array = np.asarray(np.linalg.inv(self.model.prior().covariance), float)
         left, chosen = list(range(len(candidates))), list[_Point]()
-        best = self._excess(total, margin)
-        while left and best > 0 and len(chosen) < MOST:
-            scores = [self._excess(total + information[k], margin) for k in left]
-            k = left[int(np.argmin(scores))]
-            if not min(scores) < best:
+        best = self._excess(total, factors)
+        while left and (best > 0 or len(chosen) < least) and len(chosen) < MOST:
+            scores = np.array([self._excess(total + information[k], factors) for k in left])
+            stays = np.array([candidates[k].stay + CHANGE for k in left])
+            at = int(np.argmin((scores - best) / stays))
+            if not scores[at] < best and len(chosen) >= least:
                 break
-            total, best = total + information[k], min(scores)
+            k = left[at]
+            total, best = total + information[k], float(scores[at])
             chosen.append(candidates[k])
             left.remove(k)
-        return chosen
+        return chosen, self._stds(np.asarray(np.linalg.inv(total), float))
 
-    def _excess(self, information: Array, margin: float) -> float:
+    def _excess(self, information: Array, factors: dict[str, float]) -> float:
         """Return by how much standard deviations exceed their targets, in logarithms."""
-        covariance = np.asarray(np.linalg.inv(information), float)
-        stds = self._stds(covariance)
-        return sum(
-            max(0.0, float(np.log(stds[name] / (margin * std))))
-            for name, std in self.wanted.items()
-            if name in stds
-        )
+        stds = self._stds(np.asarray(np.linalg.inv(information), float))
+        excess = 0.0
+        for name, wanted in self.wanted.items():
+            if name in stds:
+                target = MARGIN * (wanted**2 - self.floors[name] ** 2) ** 0.5
+                excess += max(0.0, float(np.log(factors[name] * stds[name] / target)))
+        return excess
 
     def _stds(self, covariance: Array) -> dict[str, float]:
-        """Return the standard deviations of parameters from that of the assumptions."""
+        """Return standard deviations of parameters, but for scales, from those of assumptions."""
         at = {name: n for n, name in enumerate(self.model.active)}
-        scale = Calibration.of(self.priors)
 
         def std(*names: str) -> float:
             rows = [at[name] for name in names if name in at]
             return float(np.sqrt(max(covariance[np.ix_(rows, rows)].sum(), 0.0)))
 
-        psi = abs(self.values.get("psi_f", 0.0))
         stds = {
-            "R_s": np.hypot(std("resistance"), scale.ratio * self.machine.R_s),
+            "R_s": std("resistance"),
             "inverter": std("inverter_hard", "inverter_soft"),
-            "psi_f": np.hypot(std("psi_f"), scale.voltage * psi),
+            "psi_f": std("psi_f"),
         }
         for axis, name, L in zip("dq", self.machine.inductances, self.machine.L_dq, strict=True):
-            if f"L_{axis}" in at:
-                share = (
-                    std(f"L_{axis}")
-                    if f"saturation_{axis}" not in at
-                    else self._bent(covariance, at, axis)
-                )
-                stds[name] = L * np.hypot(share, scale.ratio)
-        return {name: float(value) for name, value in stds.items()}
+            if f"saturation_{axis}" in at:
+                stds[name] = L * self._bent(covariance, at, axis)
+            elif f"L_{axis}" in at:
+                stds[name] = L * std(f"L_{axis}")
+        return stds
 
     @staticmethod
     def _bent(covariance: Array, at: dict[str, int], axis: str) -> float:
@@ -337,15 +382,24 @@ class Planner:
         n_p = self.machine.n_p
         t, last = 0.05, _Point(0.0, complex(least))
         knots = [Knot(0.0, 0.0, least, 0.0), Knot(t, 0.0, least, 0.0)]
-        order = sorted(chosen, key=lambda p: (p.speed, np.angle(p.current), abs(p.current)))
-        for point in order:
+        order = sorted(chosen, key=lambda p: (-p.speed, np.angle(p.current), abs(p.current)))
+        for point in [self._first(), *order]:
             t += max(CHANGE, RAMP * abs(point.speed - last.speed) / self.rated.speed_e)
             i = point.current
             knots.append(Knot(t, point.speed / n_p, i.real, i.imag))
-            t += STAY
+            t += point.stay
             knots.append(Knot(t, point.speed / n_p, i.real, i.imag))
             last = point
-        return knots
+        t += max(CHANGE, RAMP * last.speed / self.rated.speed_e)
+        return [*knots, Knot(t, 0.0, least, 0.0)]
+
+    def _first(self) -> _Point:
+        """Return the set point at which an observer finds the position after the run-up."""
+        i_d, i_q = FIRST if self.machine.magnets else FIRST_WITHOUT_MAGNETS
+        return _Point(
+            FIRST_SPEED * self.rated.speed_e,
+            self.current * complex(i_d, i_q if self.loaded else 0.0),
+        )
 
     def run(self, knots: list[Knot]) -> Result:
         """Estimate the record of a course with the nominal machine."""
@@ -376,44 +430,55 @@ class Planner:
             ):
                 stds.setdefault(name, L * share)
             stds = {name: stds[name] for name in self.values if name in stds}
-        return Sequence(tuple(knots), len(chosen), stds, self.values)
+        return Sequence(tuple(knots), len(chosen) + 1, knots[-1].t, stds, self.values)
 
     def _with_ramps(self, sequence: Sequence) -> Sequence:
         """Append ramps of the free shaft until the inertia is known, if it is wanted."""
         if "J" not in self.wanted:
             return sequence
-        ramps = 2
-        while True:
-            knots = [*sequence.knots, *self._ramps(sequence.knots[-1], ramps)]
-            std = float(mechanics_of(self.run(knots)).stds["J"])
+        best = np.inf
+        for shortest in SHORTEST:
+            knots = self._ramps(shortest)
+            result = self.run(knots)
+            # The position of a drive with tolerances is valid on fewer rows than that of the plan.
+            t, edge = result["t"], RAMP * LOW + CHANGE
+            if result["valid"][(t > edge) & (t < t[-1] - edge)].mean() < VALID:
+                continue
+            std = float(mechanics_of(result).stds["J"])
+            best = min(best, std)
             if std <= self.wanted["J"]:
+                begin = sequence.duration + PAUSE
+                later = [replace(knot, t=knot.t + begin) for knot in knots]
                 stds = sequence.stds | {"J": std}
-                return Sequence(tuple(knots), sequence.points, stds, self.values)
-            if ramps >= MOST_RAMPS:
-                raise FluxobsError(
-                    f"{ramps} ramps tell J only to ± {std:.3g} kg m²; the torque limits it: its "
-                    f"scale is that of voltage and current"
+                return replace(
+                    sequence, knots=(*sequence.knots, *later), ramps_from=begin, stds=stds
                 )
-            ramps *= 2
+        raise FluxobsError(
+            f"speed ramps tell J only to ± {best:.3g} kg m²; the standard deviation of the torque "
+            f"limits it. The scales of voltage and current are part of it: if they are known, "
+            f"state --prior voltage_scale=0.005 --prior current_scale=0.005"
+        )
 
-    def _ramps(self, last: Knot, count: int) -> list[Knot]:
-        """Return ramps up and down after a corner."""
+    def _ramps(self, shortest: float) -> list[Knot]:
+        """Return ramps up and down, each `shortest` [s] or as long as the torque asks."""
         n_p, rated = self.machine.n_p, self.rated
         i_d = 0.0 if self.machine.magnets else 0.5 * self.current
-        torque = TORQUE * rated.torque
+        low, high = (share * rated.speed_e / n_p for share in (LOW, HIGH))
+        duration = max(shortest, rated.J * (high - low) / (TORQUE * rated.torque))
+        torque = rated.J * (high - low) / (0.9 * duration)  # of the trapezoid below
         i_q = np.linspace(0.0, 1.5 * self.current, 301)
         flux = self.machine.flux_dq(i_d + 1j * i_q)
         given = 1.5 * n_p * (flux.real * i_q - flux.imag * i_d)
         amount = float(np.interp(torque, given, i_q))
-        low, high = (share * rated.speed_e / n_p for share in (LOW, HIGH))
-        duration = rated.J * (high - low) / torque
-        t = last.t + max(CHANGE, RAMP * abs(low - last.speed) * n_p / rated.speed_e)
-        knots = [Knot(t, low, i_d, 0.0, True)]
-        for _ in range(count):
+        t = max(CHANGE, RAMP * LOW)
+        knots = [Knot(0.0, 0.0, i_d, 0.0, True), Knot(t, low, i_d, 0.0, True)]
+        t += CHANGE
+        knots.append(Knot(t, low, i_d, 0.0, True))
+        for _ in range(int(np.ceil(RAMPS / (2.5 * duration)))):
             for target, sign in ((high, 1.0), (low, -1.0)):
                 start = knots[-1].speed
-                for share, i in ((0.02, sign), (0.98, sign), (1.0, 0.0), (1.25, 0.0)):
-                    speed = start + min(share, 1.0) * (target - start)
-                    knots.append(Knot(t + share * duration, speed, i_d, i * amount, True))
+                for share, done, i in TRAPEZOID:
+                    speed = start + done * (target - start)
+                    knots.append(Knot(t + share * duration, speed, i_d, sign * i * amount, True))
                 t += 1.25 * duration
-        return knots
+        return [*knots, Knot(t + RAMP * LOW, 0.0, i_d, 0.0, True)]

@@ -17,6 +17,9 @@ from ..simulation.drive import RATINGS, Rating, encoder_drive
 GAIN_SHARE = 6**-0.5
 #: Time in which the rated torque accelerates the rotor to rated speed, unless J is given [s].
 RUN_UP = 0.15
+#: Usual dead time as a share of the sample time (1.25 µs at 8 kHz), and drop of a switch as a share
+#: of the DC link (1.1 V at 540 V, 0.1 V at 48 V).
+DEAD_TIME, DROP = 0.01, 0.002
 #: Torque as a share of what the rated current gives in the best direction.
 TORQUE_SHARE = 0.9
 
@@ -52,11 +55,12 @@ class Sensors:
     drop: float
 
     @classmethod
-    def usual(cls, current: float, **given: float | None) -> Sensors:
-        """Return given values, and usual ones for a rated current [A]."""
+    def usual(cls, current: float, rated: Rating, **given: float | None) -> Sensors:
+        """Return given values, and usual ones for a rated current [A] and a drive's ratings."""
         usual = {
             **{"noise": 0.002 * current, "offset": 0.01 * current, "gain": 0.01, "bits": 12.0},
-            **{"range": 2.5 * current, "dead_time": 1e-6, "drop": 0.5},
+            **{"range": 2.5 * current, "dead_time": DEAD_TIME * rated.sample_time},
+            "drop": DROP * rated.dc_link,
         }
         stated = {name: value for name, value in given.items() if value is not None}
         for name in stated:
@@ -146,3 +150,6 @@ def observer_of(sensors: Sensors, cell: Cell) -> AdaptiveObserver:
         current_noise=sensors.total_noise,
         priors=Priors(offset=sensors.offset, current_gain=GAIN_SHARE * sensors.gain),
     )
+
+
+__all__ = ["Rating", "Sensors", "observer_of", "quantities", "rating_of"]

@@ -1,4 +1,4 @@
-"""`fluxobs machine new`."""
+"""`fluxobs machine new`; `plan` is in plan.py."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import typer
 from .. import show
 from ..options import ForceOption
 
-app = typer.Typer(no_args_is_help=True, help="Write machine files.")
+app = typer.Typer(no_args_is_help=True, help="Write machine files; plan drives.")
 
 
 @app.callback()
 def _group() -> None:
-    """Write machine files."""
+    """Write machine files; plan drives."""
 
 
 #: Questions asked on a terminal: (field, text). One answer to _MAGNETS is enough.
