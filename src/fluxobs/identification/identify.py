@@ -128,6 +128,10 @@ def read_free(free: str | Sequence[str] | None, machine: RotatingMachine) -> tup
     return tuple(name for name in possible if name in names)
 
 
+#: A log of at most this many rows keeps its estimates for the energy balance: 100 MB.
+KEPT_ROWS = 500_000
+
+
 def identify(
     log: Source,
     machine: MachineSource,
@@ -303,7 +307,7 @@ def _estimated(
     names = machine.inductance_names
     axes = ("L_d",) if len(names) == 1 else ("L_d", "L_q")
     wide = {axis: FREE_INDUCTANCE for axis, name in zip(axes, names, strict=True) if name in free}
-    keep = any(name in MECHANICS for name in free)
+    keep = any(name in MECHANICS for name in free) or len(log) <= KEPT_ROWS
     result = estimate(log, machine, keep=keep, priors=wide | dict(priors or {}), progress=progress)
     if fits(result):
         return result

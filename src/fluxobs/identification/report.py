@@ -13,8 +13,10 @@ from ..core.plots import BLUE, FORMATS, GREY, HTML, ORANGE, STYLE, legend, new_f
 from ..core.plots import write as save
 from ..errors import FluxobsError
 from ..logs.record import signed
+from ..machines.heat import COLD, COPPER, NEODYMIUM
 from ..machines.saving import write_machine
 from ..presentation.summary import RPM
+from .energy import energy_of
 from .fit_result import FittedParameters
 from .map_fit import FoundMap
 from .mechanics import NOT_RIGID, Mechanics
@@ -49,7 +51,9 @@ def lines(fit: FittedParameters) -> list[str]:
     if fit.map is not None:
         sentences += fit.map.lines()
     if fit.run is not None:
-        sentences += constants(fit.run)
+        sentences += [*constants(fit.run), *temperatures(fit)]
+        energy = energy_of(fit.run)
+        sentences += [] if energy is None else [energy.text()]
     if fit.mechanics is not None:
         sentences += _describe_mechanics(fit.mechanics)
     held = [name for name in fit.untold if name not in MECHANICS]
@@ -88,6 +92,27 @@ def constants(run: Result) -> list[str]:
         f"K_V = {K_V:.4g} ± {share * K_V:.2g} rpm/V (line to line, peak), "
         f"{2**0.5 * K_V:.4g} rpm/V (rms)",
     ]
+
+
+def temperatures(fit: FittedParameters) -> list[str]:
+    """Return temperatures of winding and magnets, if the machine file holds at 20 °C.
+
+    The standard deviation is that of the identified value; an error of the machine file adds to it.
+    """
+    sentences = []
+    for name, what, material, slope in (
+        ("R_s", "Winding", "copper", COPPER),
+        ("psi_f", "Magnets", "neodymium", NEODYMIUM),
+    ):
+        for parameter in fit.parameters:
+            if parameter.name == name and parameter.std is not None and parameter.given:
+                rise = (parameter.value / parameter.given - 1) / slope
+                std = parameter.std / parameter.given / abs(slope)
+                sentences.append(
+                    f"{what}: {COLD + rise:.0f} ± {std:.0f} °C, if {name} = {parameter.given:.4g} "
+                    f"{parameter.unit} holds at {COLD:.0f} °C ({material}, {slope:+.2%}/K)"
+                )
+    return sentences
 
 
 def _describe_mechanics(mechanics: Mechanics) -> list[str]:
