@@ -11,6 +11,7 @@ from motulator.common.model import Sensor
 from motulator.drive import model
 from motulator.drive.control import sm as control
 from motulator.drive.control.sm import SynchronousMachinePars
+from motulator_entrants import FluxObserver
 from motulator_observer import machine_of, place
 
 import fluxobs
@@ -32,14 +33,34 @@ def load(t):
     return LOAD * ((t > 1.0) and (t < 1.6))
 
 
-def simulate(par, with_fluxobs, dead_time=0.0, offset=0.0, psi_s_min=None, **settings):
-    """Return (time, error of the electrical angle [degrees], true and estimated speed, valid)."""
+def adapting(w_m):
+    """PM-flux gain of motulator's example: from a fifth of the rated speed on."""
+    return max(0.05 * (abs(w_m) - 0.2 * 2 * pi * 75), 0.0)
+
+
+def simulate(
+    par,
+    with_fluxobs,
+    dead_time=0.0,
+    offset=0.0,
+    psi_s_min=None,
+    gains=None,
+    record=None,
+    **settings,
+):
+    """Return (time, error of the electrical angle [degrees], true and estimated speed, valid).
+
+    `gains` are those of motulator's observer; voltages, currents and rotor axes go into
+    `record`.
+    """
     sensor = Sensor(offset=[offset, -offset / 2, 0.0], std=0.02, rng=np.random.default_rng(1))
     machine = model.SynchronousMachine(par, i_s_sensor=sensor)
     mechanics = model.MechanicalSystem(J=0.015)
     mechanics.set_external_load_torque(load)
     drive = model.Drive(machine, mechanics, model.VoltageSourceConverter(u_dc=540.0, t_d=dead_time))
-    config = control.CurrentVectorControllerCfg(i_s_max=10.0, T_s=STEP, psi_s_min=psi_s_min)
+    config = control.CurrentVectorControllerCfg(
+        i_s_max=10.0, T_s=STEP, psi_s_min=psi_s_min, **(gains or {})
+    )
     vector = control.CurrentVectorController(par, config)
     placed = place(vector, **settings) if with_fluxobs else None
     feedback, samples = vector.get_feedback, []
@@ -51,6 +72,11 @@ def simulate(par, with_fluxobs, dead_time=0.0, offset=0.0, psi_s_min=None, **set
         error = (ahead + turn / 2) % turn - turn / 2
         valid = bool(placed.estimate.valid) if placed else True
         samples.append((error, mechanics.out.w_M, outputs.w_M, valid))
+        if record is not None:
+            turned = np.exp(1j * outputs.theta_c)
+            record.append(
+                (turned * outputs.u_s_zoh, turned * outputs.i_s, np.exp(1j * outputs.theta_m))
+            )
         return outputs
 
     vector.get_feedback = watched
@@ -72,10 +98,11 @@ def rms(t, error, segment):
     return np.sqrt(np.mean(error[(t > begin) & (t < end)] ** 2))
 
 
+@pytest.mark.parametrize("gains", [{}, {"J": 0.015, "k_f": adapting}], ids=["default", "J, k_f"])
 @pytest.mark.parametrize("dead_time", [0.0, 2e-6])
-def test_a_pmsm_beside_motulators_own_observer(dead_time):
+def test_a_pmsm_beside_motulators_own_observer(dead_time, gains):
     """Start from standstill, load step, reversal without load; offsets of 50 mA, and noise."""
-    t, own, *_ = simulate(PMSM, False, dead_time, offset=0.05)
+    t, own, *_ = simulate(PMSM, False, dead_time, offset=0.05, gains=gains)
     _, ours, true, estimated, valid = simulate(
         PMSM, True, dead_time, offset=0.05, unknowns=ADAPTIVE
     )
@@ -98,6 +125,38 @@ def test_a_reluctance_machine_with_dead_time():
     assert valid[(t > 0.8) & (t < 2.0)].mean() > 0.9
     assert rms(t, ours, "load") < 0.6
     assert rms(t, ours, "end") < 0.3
+
+
+def test_the_inertia_of_the_simulated_drive():
+    """motulator's drive has J = 0.015 kg m²; its own observer controls it."""
+    record = []
+    simulate(PMSM, False, offset=0.05, record=record)
+    u, i, _ = np.array(record).T
+    found = fluxobs.identify((u, i), machine_of(PMSM, 6.1), free="J", sample_time=STEP, lag=0)
+    (J,) = found.parameters
+    assert abs(J.value - 0.015) < 2 * J.std
+    assert abs(J.value / 0.015 - 1) < 0.03
+
+
+def test_an_observer_as_an_entrant_of_the_benchmark():
+    """The entrant on a log of the drive has the angles of the observer that controlled it."""
+    record = []
+    simulate(PMSM, False, offset=0.05, record=record)
+    u, i, own = np.array(record).T
+    fields = {"kind": "interior-pmsm", "n_p": 3, "R_s": 3.6, "psi_f": 0.545}
+    fields |= {"L_d": 0.036, "L_q": 0.051, "rated_current": 6.1}
+    observer = FluxObserver(fields, STEP)
+    ended = np.concatenate([[np.nan], u[:-1]])
+    estimates = [
+        observer.step([voltage.real, voltage.imag], [current.real, current.imag])
+        for voltage, current in zip(ended, i, strict=True)
+    ]
+    theta, _, _, speed, torque = np.array(estimates).T
+    later = STEP * np.arange(len(i)) > 0.7
+    assert np.abs(np.angle(np.exp(1j * theta) / own))[later].max() < 1e-6
+    loaded = (STEP * np.arange(len(i)) > 1.3) & (STEP * np.arange(len(i)) < 1.6)
+    assert abs(np.mean(torque[loaded]) / LOAD - 1) < 0.05
+    assert abs(np.mean(speed[loaded]) / (3 * 0.6 * RATED_SPEED) - 1) < 0.01
 
 
 def test_machines_and_refused_controllers():
