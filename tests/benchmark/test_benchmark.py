@@ -9,9 +9,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from fluxobs.benchmark import drives, entrants, scores, suite
+import fluxobs as fluxobs_api
+from fluxobs.benchmark import drives, entrants, loop, measured, programs, scores, suite
 from fluxobs.benchmark.report import markdown_table, text_table, write_report
+from fluxobs.deployment.forms import build
 from fluxobs.errors import FluxobsError
+from fluxobs.machines.files import copy_example
 from support.cli import fluxobs
 
 LEAKY = """
@@ -141,7 +144,7 @@ def test_an_entrant_sees_neither_the_future_nor_the_truth(made, tmp_path):
             seen.append((*voltage, *current))
             return 0.0
 
-    entrants._stepped(Watching, made, made.entries[0])
+    entrants._stepped(lambda machine, h: Watching({}, h), made, made.entries[0])
     voltage, current = made.log(made.entries[0])
     np.testing.assert_array_equal(np.array(seen)[1:, :2], voltage[:-1])
     np.testing.assert_array_equal(np.array(seen)[:, 2:], current)
@@ -264,3 +267,151 @@ def test_the_command(made, tmp_path):
     assert "did you mean 'adaptive'" in unknown.stderr
     listed = fluxobs("score", "plain", "--suite", str(made.folder), "--json", folder=tmp_path)
     assert json.loads(listed.stdout)[0]["group"] == "all"
+
+
+LEADING = """
+import cmath
+
+
+class Observer:
+    \"\"\"An observer that knows when it does not know.\"\"\"
+
+    def __init__(self, machine, sample_time):
+        self.R, self.L, self.h, self.n = machine["R_s"], machine["L_s"], sample_time, 0
+        self.flux, self.last = 0j, 0j
+
+    def step(self, voltage, current):
+        u, i = complex(*voltage), complex(*current)
+        if cmath.isfinite(u) and cmath.isfinite(i):
+            self.flux += self.h * (u - self.R * (i + self.last) / 2 - 20 * self.flux)
+            self.last, self.n = i, self.n + 1
+        return cmath.phase(self.flux - self.L * self.last), 0.1, self.n * self.h > 0.6
+"""
+
+
+@pytest.fixture
+def one_machine(monkeypatch):
+    """The closed loop with a machine, two courses and a kind of errors."""
+    monkeypatch.setattr(loop, "MACHINES", ("pmsm-2kw2",))
+    monkeypatch.setattr(loop, "ERRORS", {"right model": suite.ERRORS["right model"]})
+    chosen = {name: loop.LOOP_COURSES[name] for name in ("load step", "reversal")}
+    monkeypatch.setattr(loop, "LOOP_COURSES", chosen)
+
+
+@pytest.mark.slow
+def test_entrants_in_the_loop_of_a_drive(made, one_machine, tmp_path):
+    """The adaptive observer holds the drive; an observer in Python is called sample by sample."""
+    copy_example("pmsm-2kw2", made.folder / "machines")
+    ours = loop.score_in_loop(entrants.entrant("adaptive"), made)
+    assert [score.record for score in ours] == [
+        "pmsm-2kw2-load-step-right-model-0",
+        "pmsm-2kw2-reversal-right-model-0",
+    ]
+    assert all(score.lost < scores.LOST_DRIVE and score.valid > 0.6 for score in ours)
+    assert all(score.rms_valid < np.radians(1.0) for score in ours)
+    (tmp_path / "mine.py").write_text(LEADING)
+    entrant = entrants.entrant(f"{tmp_path / 'mine.py'}:Observer")
+    mine = loop.score_in_loop(entrant, made)
+    # It states no speed: a phase-locked loop gives it one. It enters when it says so.
+    assert all(0.5 < score.first_valid < 1.5 for score in mine)
+    assert all(0 < score.speed < 60 for score in mine)
+    again = loop.score_in_loop(entrant, made)
+    assert [score.rms for score in again] == [score.rms for score in mine]
+    with pytest.raises(FluxobsError, match="whole-log is not a causal observer"):
+        loop.score_in_loop(entrants.entrant("whole-log"), made)
+
+
+def test_a_simulation_unit_is_an_entrant(made, tmp_path):
+    """The unit that we export has the estimates of the observer from which it was made."""
+    pytest.importorskip("fmpy")
+    with pytest.MonkeyPatch.context() as patch:  # another test covers cross-compilers
+        patch.setattr(build, "has_zig", lambda: False)
+        fluxobs_api.export("servo-400w", 1e-4, tmp_path / "servo-400w", form="fmu")
+    (tmp_path / "units").mkdir()
+    unit = tmp_path / "units" / "servo-400w.fmi3.fmu"
+    shutil.copy(next((tmp_path / "servo-400w").glob("*.fmi3.fmu")), unit)
+    entrant, found = scored(str(tmp_path / "units"), made)
+    assert (entrant.name, entrant.track) == ("units", "causal")
+    _, plain = scored("plain", made)
+    assert [score.record for score in found] == [score.record for score in plain]
+    assert found[0].valid > 0.3
+    assert found[0].rms_valid < np.radians(2.0)
+    other = tmp_path / "drone-900kv.fmu"
+    shutil.copy(unit, other)
+    assert scored(str(other), made)[1] == []
+
+
+RECIPE = """
+source = "here"
+licence = "any"
+files = "*.csv"
+unverified = ["everything"]
+[machine]
+kind = "surface-pmsm"
+R_s = 0.36
+L_s = 6e-4
+n_p = 4
+psi_f = 0.0125
+rated_current = 12.0
+[drive]
+speed_e = 1256.0
+torque = 0.8
+J = 6e-5
+dc_link = 48.0
+[log]
+sample_time = 1e-4
+lag = -1
+truth = { theta_mech = "theta" }
+"""
+
+
+def test_measured_logs_join_by_a_recipe(made, tmp_path):
+    """A log whose voltages are a sample early, with a mechanical angle that wraps."""
+    entry = made.entries[0]
+    (u, i), truth = made.log(entry), made.truth(entry)
+    early = np.concatenate([u[1:], u[-1:]])
+    angle = (np.unwrap(truth["theta_e"]) / 4) % (2 * np.pi)
+    columns = {"u_alpha": early[:, 0], "u_beta": early[:, 1]}
+    columns |= {"i_alpha": i[:, 0], "i_beta": i[:, 1], "theta": angle}
+    data = tmp_path / "data"
+    data.mkdir()
+    pl.DataFrame(columns).write_csv(data / "log1.csv")
+    (tmp_path / "mine.toml").write_text(RECIPE)
+    name, recipe = measured.read_recipe(str(tmp_path / "mine.toml"))
+    written = measured.write_measured(tmp_path / "suite", name, recipe, data)
+    again = suite.read_suite(tmp_path / "suite")
+    assert again == written
+    assert again.measured
+    voltage, current = again.log(again.entries[0])
+    np.testing.assert_allclose(voltage[1:-2], u[1:-2], atol=1e-9)
+    np.testing.assert_allclose(current, i, atol=1e-9)
+    difference = again.truth(again.entries[0])["theta_e"] - truth["theta_e"]
+    np.testing.assert_allclose(np.exp(1j * difference), 1.0, atol=1e-9)
+    entrant, found = scored("adaptive", again)
+    assert found[0].rms_valid < np.radians(1.0)
+    assert (found[0].speed, found[0].torque) == (None, None)
+    assert scored("sliding mode", again)[1][0].rms > 0
+    assert [s.group for s in scores.summarise(entrant, found)] == ["all"]
+    with pytest.raises(FluxobsError, match=r"no \*\.csv; get the files from here"):
+        measured.write_measured(tmp_path / "none", name, recipe, tmp_path / "units")
+    with pytest.raises(FluxobsError, match="did you mean 'med2021-spmsm'"):
+        measured.read_recipe("med2021-spm")
+    (tmp_path / "bad.toml").write_text('source = "x"\n')
+    with pytest.raises(FluxobsError, match="licence"):
+        measured.read_recipe(str(tmp_path / "bad.toml"))
+    with pytest.raises(FluxobsError, match="measured records cannot be run in closed loop"):
+        loop.score_in_loop(entrants.entrant("adaptive"), again)
+
+
+def test_shipped_recipes_can_be_read():
+    assert measured.recipe_names() == ["med2021-spmsm"]
+    _, recipe = measured.read_recipe("med2021-spmsm")
+    assert recipe.unverified
+
+
+def test_a_machine_with_a_flux_map_comes_with_its_inductances(tmp_path):
+    path = copy_example("ipm-5kw6", tmp_path)
+    fields = programs.fields_of(path)
+    assert 0 < fields["L_d"] < fields["L_q"]
+    assert fields["psi_f"] > 0
+    assert pl.read_csv(fields["flux_map"]).height > 10

@@ -20,6 +20,26 @@ COURSES: dict[str, dict[str, float | list[float]]] = {
     "low speed": {"speeds": [0.02, 0.1], "stops": 0.1, "reversals": 0.3},
     "steady": {"speeds": [0.3, 1.0], "stops": 0.0, "reversals": 0.0, "segment": [1.0, 2.0]},
 }
+#: Courses of the closed loop: [time in s, share of the rated value] of speed and load. All drives
+#: start at rest without load.
+LOOP_COURSES: dict[str, dict[str, list[list[float]]]] = {
+    "run up": {
+        "speed": [[0.2, 0.0], [1.2, 0.3], [2.0, 1.0], [4.0, 1.0]],
+        "load": [[2.2, 0.0], [2.3, 0.5], [4.0, 0.5]],
+    },
+    "load step": {
+        "speed": [[0.2, 0.0], [1.2, 0.3], [4.0, 0.3]],
+        "load": [[1.6, 0.0], [1.6, 0.8], [2.8, 0.8], [2.8, 0.0]],
+    },
+    "reversal": {
+        "speed": [[0.2, 0.0], [1.2, 0.5], [2.4, 0.5], [3.4, -0.5], [4.0, -0.5]],
+        "load": [[1.6, 0.0], [1.6, 0.4], [2.2, 0.4], [2.2, 0.0]],
+    },
+    "low speed": {
+        "speed": [[0.2, 0.0], [1.2, 0.3], [2.0, 0.3], [2.5, 0.1], [4.0, 0.1]],
+        "load": [[1.5, 0.0], [1.6, 0.3], [4.0, 0.3]],
+    },
+}
 Draw = Callable[[np.random.Generator, str], dict[str, float]]
 
 

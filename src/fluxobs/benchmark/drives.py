@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -79,17 +79,25 @@ class Lane(NamedTuple):
     scenario: Scenario
 
 
-def lanes(machine: str, course: str, drives: int, seed: int, draw: Draw) -> list[Lane]:
+def lanes(
+    machine: str,
+    course: str,
+    drives: int,
+    seed: int,
+    draw: Draw,
+    courses: Mapping[str, Mapping[str, Any]] = COURSES,
+    duration: float = DURATION,
+) -> list[Lane]:
     """Return drives of a shipped machine that can reach the speeds and loads of a course."""
-    place = [seed, MACHINES.index(machine), list(COURSES).index(course)]
+    place = [seed, MACHINES.index(machine), list(courses).index(course)]
     rng = np.random.default_rng(place)
     specification = Specification.model_validate(
         {
             **{"name": "benchmark", "seed": seed, "scenarios": drives, "machines": [machine]},
             **{"loop": "open", "observers": ["plain"], "vary": {}},
             "course": {
-                **{"duration": DURATION, "score_from": 0.0, "loads": [-0.8, 0.8], "ramp": 0.4},
-                **{"segment": [0.3, 0.9], **COURSES[course]},
+                **{"duration": duration, "score_from": 0.0, "loads": [-0.8, 0.8], "ramp": 0.4},
+                **{"segment": [0.3, 0.9], **courses[course]},
             },
         }
     )
@@ -107,9 +115,11 @@ def lanes(machine: str, course: str, drives: int, seed: int, draw: Draw) -> list
     return found
 
 
-def run(found: Sequence[Lane], keep: Callable[[Trace], Any]) -> tuple[Any, Any]:
+def run(
+    found: Sequence[Lane], keep: Callable[[Trace], Any], duration: float = DURATION
+) -> tuple[Any, Any]:
     """Simulate drives with equal components; return which stayed finite, and what `keep` keeps."""
-    rows = round(DURATION / float(found[0].drive.sample_time))
+    rows = round(duration / float(found[0].drive.sample_time))
     noise = [lane.scenario.generator(NOISE).standard_normal((rows, 3)) for lane in found]
     steps = max(substeps(lane.drive, lane.course) for lane in found)
     pairs = [(lane.drive, lane.course) for lane in found]

@@ -28,15 +28,15 @@ from ..errors import FluxobsError
 from ..simulation.drive import Drive, sensorless_drive
 from ..simulation.drive.sensorless import RUNNING
 from ..simulation.precision import real
-from .draws import COURSES, ERRORS, MACHINES
+from .draws import ERRORS, LOOP_COURSES, MACHINES
 from .drives import lanes, run
 from .entrants import OURS, Entrant, Estimates, published
 from .programs import OUTPUTS, Create, Stepped
 from .scores import Score, Truth, score
 from .suite import Entry, Suite
 
-#: A drive is scored from here on [s]: the open-loop start takes up to half a second.
-SCORE_FROM = 1.0
+#: Duration of a simulation [s], and the time from which a drive is scored: it starts in open loop.
+DURATION, SCORE_FROM = 4.0, 1.5
 #: Largest speed of the open-loop start, as a share of the rated speed: most observers that state a
 #: standard deviation know the position there.
 START = 0.3
@@ -140,12 +140,16 @@ def score_in_loop(
     if suite.measured:
         raise FluxobsError(f"{suite.folder}: measured records cannot be run in closed loop")
     scores = []
-    cells = [(course, errors) for course in COURSES for errors in ERRORS]
+    cells = [(course, errors) for course in LOOP_COURSES for errors in ERRORS]
     for n, machine in enumerate(MACHINES):
         found = [
             (f"{machine}-{course}-{errors}-{k}".replace(" ", "-"), course, errors, lane)
             for course, errors in cells
-            for k, lane in enumerate(lanes(machine, course, drives, suite.seed, ERRORS[errors]))
+            for k, lane in enumerate(
+                lanes(
+                    *(machine, course, drives, suite.seed, ERRORS[errors]), LOOP_COURSES, DURATION
+                )
+            )
         ]
         cell = cell_of(_specification(machine), machine)
         equip = _equipped(entrant, suite, cell)
@@ -153,7 +157,7 @@ def score_in_loop(
             equipped = [
                 lane._replace(drive=equip(lane.drive, k)) for k, (*_, lane) in enumerate(found)
             ]
-            finished, trace = run(equipped, select_scored)
+            finished, trace = run(equipped, select_scored, DURATION)
             for k, (name, course, errors, lane) in enumerate(found):
                 entry = Entry(name, machine, course, errors, float(lane.drive.sample_time))
                 row = ScoredTrace(*(signal[k] for signal in trace))
