@@ -115,7 +115,7 @@ fuzz: $(READY)
 
 bench: $(READY)
 	@for script in accuracy measured speed startup seeds paper hour long_run drive closed_loop validity \
-	        compare update_every adaptive random_drives stops heat jumps at_rest from_rest in_loop endurance mistakes maps identification readers page; do \
+	        compare update_every adaptive random_drives stops heat jumps at_rest from_rest in_loop endurance mistakes maps identification planned_test plan readers page; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
 
