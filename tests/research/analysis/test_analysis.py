@@ -252,3 +252,12 @@ def test_uniform_observability_of_the_immersion():
         total += h * row.T @ row
     gramian = immersion_gramian(immersion, h, v, i, scale)
     np.testing.assert_allclose(gramian, total, atol=1e-9 * np.abs(total).max())
+
+
+def test_a_drift_hardly_changes_the_multipliers_of_the_counter_example():
+    """Numbers of an independent computation with θ = (0.1, -0.05)."""
+    case = counter_example(256, drift=(0.1, -0.05))
+    form = Parametrisation(case.constraint, "voltage-bias", 1.0)
+    psi = np.asarray(form.psi_record(case.rows))
+    multipliers = over_gain(psi, case.h, form, (1e-2, 1.0, 1e2)).multipliers(2 * np.pi)
+    np.testing.assert_allclose(multipliers, [1.500, 6.742, 10.056], atol=6e-4)

@@ -17,8 +17,9 @@ class IdaPbc(eqx.Module):
     """Interconnection and damping assignment for two opposed coils (the paper's Section V-B).
 
     States are core fluxes φ [Wb], position q [m] and angular momentum p = J Θ̇ [kg m²/s]. With
-    constant references, the closed loop has the energy :meth:`shaped_energy` and the dissipation
-    ``diag(R/(N c_1), R/(N c_2), R_a/D², 0)``.
+    constant references, the closed loop has the energy :meth:`shaped_energy` and, in the
+    coordinates (φ, q, p), the dissipation ``diag(R/(N c_1), R/(N c_2), R_a, 0)``; with the angle
+    Θ = q/D instead of q, the third entry is ``R_a/D²``.
 
     Parameters
     ----------

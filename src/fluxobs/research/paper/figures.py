@@ -182,7 +182,8 @@ def _figure_3(runs: Sequence[ScenarioResult]) -> Figure:
         _as_printed(axes[1, column], course, course.parameters, run.jump)
         axes[0, column].set_title(f"{run.scenario.name}: {name}")
     axes[0, 0].set_ylabel("(a) |λ̃|, Wb")
-    axes[1, 0].set_ylabel("(b) |θ̃|, V")
+    # The paper's (b) is the norm of all parameters in mixed units; the drift dominates it.
+    axes[1, 0].set_ylabel("(b) error of the drift, V")
     return figure
 
 

@@ -138,11 +138,12 @@ class MotorOrbit(NamedTuple):
         return self.orbit.period / len(self.flux)
 
 
-def counter_example(samples: int = 256) -> MotorOrbit:
+def counter_example(samples: int = 256, drift: tuple[float, float] = (0.0, 0.0)) -> MotorOrbit:
     """Erratum 6, per-unit: Ψ is persistently exciting; Proposition 2 is unstable at every gain.
 
-    Parameters: θ_e = t + 0.8 sin t, L = 0.4, i_dq = (0, 0.5), ψ = 1, ν = 1, no bias. The record is
-    one period (2π) in steady state.
+    Parameters: θ_e = t + 0.8 sin t, L = 0.4, i_dq = (0, 0.5), ψ = 1, ν = 1. The record is one
+    period (2π) in steady state. The `drift` of a voltage bias is in the measurement; the table of
+    the errata has none.
     """
     machine = SurfacePMSM(R_s=0.05, L_s=0.4, n_p=1, psi_f=1.0)
     signals = motor_signals(
@@ -150,6 +151,6 @@ def counter_example(samples: int = 256) -> MotorOrbit:
     )
     t = jnp.arange(samples) * (2 * np.pi / samples)
     flux, rate, current, _ = (np.asarray(values) for values in jax.jit(jax.vmap(signals))(t))
-    orbit = Orbit(2 * np.pi, rate, current)
+    orbit = Orbit(2 * np.pi, rate - np.asarray(drift), current)
     rows = periodic_regression(machine.constraint, 1.0, orbit)
     return MotorOrbit(machine.constraint, orbit, flux, rows)

@@ -37,8 +37,10 @@ from .levitation import (
 )
 from .pmsm import SERVO_CORNER, MotorRecord
 
-#: Time from which the regression is used. Unit 1/ν; the filters' transient is then e^{-15}.
+#: Time from which the regression is used. Unit 1/ν; the filters' transient is then e^{-15}. The
+#: paper has no run-in: FROM_THE_START is its law from the first sample on.
 RUN_IN = 15.0
+FROM_THE_START = "adaptive, printed gain, no run-in"
 #: Rates of the balanced gains on the levitation [1/s].
 FLUX_RATE, CONSTANTS_RATE = 8.0, 2.0
 #: Window in which the basis of DREM is balanced [s].
@@ -171,7 +173,7 @@ def levitation_run(record: LevitationRecord, all_observers: bool = True) -> Levi
         result = converged_run(record, used, gain, None, skip)
         return _course(record, result.error, change=result.change)
 
-    def adaptive(factor: float, used: FilteredRecord = regression) -> ErrorCourse:
+    def adaptive(factor: float, used: FilteredRecord = regression, skip: int = skip) -> ErrorCourse:
         result = converged_run(record, used, factor * np.array(ADAPTIVE_GAIN), printed, skip)
         true = _true_constants(record, printed)
         return _course(record, result.error[:, :2], result.error[:, 2:], true, result.change)
@@ -191,6 +193,7 @@ def levitation_run(record: LevitationRecord, all_observers: bool = True) -> Levi
         "PEBO, least squares": sampled(PEBO(2, "least-squares", Gamma)),
     }
     if all_observers:
+        courses[FROM_THE_START] = adaptive(1.0, skip=0)
         size = sizes(record)[1]
         noise = NUMERICAL * regression_size(nominal, size)
         courses["Riccati, memory 1 s"] = sampled(
