@@ -1,4 +1,4 @@
-"""The repair of Proposition 2 without a hypothesis on Ω: both sides (docs/theory.md, section 10)."""
+"""Repair of Proposition 2 without a hypothesis on Ω: both sides (docs/theory.md, section 10)."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -180,8 +180,9 @@ def _settings() -> list[str]:
         "decays as e^(-νt) and which the gains multiply; the printed law from t = 0 is in the "
         f"table too, for the main scenario. Printed gains: Γ = {ROBUST_GAIN:g}, "
         f"Γ_a = diag({gains}). Balanced gain: {FLUX_RATE:g} 1/s times the inverse of the mean of "
-        f"Φ_λΦ_λᵀ between run-in and jump; the repaired law has the same gain for the flux and {CONSTANTS_RATE:g} 1/s for "
-        f"the constants. Least squares: samples of {LS_SAMPLE_TIME:g} s, memory {LS_MEMORY:g} s.",
+        f"Φ_λΦ_λᵀ between run-in and jump; the repaired law has the same gain for the flux and "
+        f"{CONSTANTS_RATE:g} 1/s for the constants. Least squares: samples of "
+        f"{LS_SAMPLE_TIME:g} s, memory {LS_MEMORY:g} s.",
     ]
 
 
