@@ -248,3 +248,39 @@ def test_scenarios_that_violate_the_model_state_a_limit():
     """The `limit` of a scenario explains the error of the least squares."""
     for name in ("R-50", "dead-time", "bias-jumps", "gain-mismatch", "low-speed-1"):
         assert SCENARIOS[name].limit
+
+
+def test_the_bound_with_resistance_equals_batch_least_squares():
+    """Noise through the resistive drop, with the weights of the cubic: the brute-force sum.
+
+    The batch has the flux at the last row, the drift, ψ, and the noise of every sample as unknowns;
+    each row's relation is exact in them.
+    """
+    h, L, R, noise, psi, drift_prior = 1e-3, 0.004, 2.0, 0.05, 0.5, 0.2
+    rows = 24
+    theta = 0.4 + 250.0 * h * np.arange(rows)
+    bound = position_bound(theta, np.full(rows, psi), h, L, R, noise, drift_prior)
+    unknowns = 5 + 2 * rows
+    cubic = np.array([9, 19, -5, 1]) / 24
+    # Flux error at row k: initial error, drift, and the resistive drop of the noises.
+    flux = np.zeros((rows, 2, unknowns))
+    for axis in (0, 1):
+        for k in range(rows):
+            flux[k, axis, axis], flux[k, axis, 2 + axis] = 1.0, k * h
+            for interval in range(1, k + 1):
+                for j, weight in enumerate(cubic):
+                    if interval - j >= 0:
+                        flux[k, axis, 5 + 2 * (interval - j) + axis] -= h * R * weight
+    prior = np.array([psi, psi, drift_prior, drift_prior, psi, *[noise] * (2 * rows)]) ** 2
+    # The recursion's first samples have noises before the record, which the batch lacks.
+    P = np.diag(prior)
+    for k in range(rows):
+        own = np.zeros((2, unknowns))
+        own[:, 5 + 2 * k : 7 + 2 * k] = L * np.eye(2)
+        e = np.array([np.cos(theta[k]), np.sin(theta[k])])
+        residual = e @ (flux[k] - own)
+        residual[4] -= 1.0
+        gain = P @ residual
+        P = P - np.outer(gain, gain) / (residual @ gain)
+    across = np.array([-e[1], e[0]]) @ (flux[-1] - own)
+    assert bound[-1] == pytest.approx(np.sqrt(across @ P @ across) / psi, rel=2e-3)

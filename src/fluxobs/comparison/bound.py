@@ -19,6 +19,10 @@ from numpy.typing import NDArray
 from ..core.arrays import Array
 from ..machines.rotating import SynchronousMachine
 
+#: Weights of the current now and of the three before in the mean current of the last interval: the
+#: cubic through the samples, which the observers integrate.
+CUBIC = (9 / 24, 19 / 24, -5 / 24, 1 / 24)
+
 
 def position_bound(
     theta_e: Array,
@@ -51,28 +55,30 @@ def position_bound(
     (rows,) ndarray
         At most π/√3, the standard deviation of a uniformly distributed angle.
     """
-    h, r = sample_time, (inductance * noise) ** 2
+    # State: flux, drift, ψ, and the noises of the last three samples, the newest first.
+    h, L, n = sample_time, inductance, 11
     psi = float(np.median(np.abs(length)))
-    P = np.diag([psi**2, psi**2, drift_prior**2, drift_prior**2, psi**2])
-    F = np.eye(5)
-    F[0, 2] = F[1, 3] = h
-    Q = np.zeros((5, 5))
-    Q[0, 0] = Q[1, 1] = (h * resistance * noise) ** 2
+    P = np.diag([psi**2, psi**2, drift_prior**2, drift_prior**2, psi**2, *[noise**2] * 6])
+    F = np.zeros((n, n))
+    F[:5, :5] = np.eye(5)
+    F[7:, 5:9] = np.eye(4)
+    entry = np.zeros((n, 2))  # of the noise of the next sample
+    entry[5:7] = np.eye(2)
+    for axis in (0, 1):
+        F[axis, 2 + axis] = h
+        F[axis, 5 + axis :: 2] = -h * resistance * np.array(CUBIC[1:])
+        entry[axis, axis] = -h * resistance * CUBIC[0]
+    Q = noise**2 * entry @ entry.T
     std = np.empty(len(theta_e))
-    cross_covariance = h * resistance * inductance * noise**2  # of flux increment and measurement
     for k, (angle, radius) in enumerate(zip(theta_e, length, strict=True)):
         c, s = np.cos(angle), np.sin(angle)
-        g = np.array([c, s, 0.0, 0.0, -1.0])
-        Pg = P @ g
-        innovation_variance = g @ Pg + r
-        posterior = P - np.outer(Pg, Pg) / innovation_variance
-        variance_across = (
-            s * s * posterior[0, 0] - 2 * s * c * posterior[0, 1] + c * c * posterior[1, 1]
-        )
-        std[k] = np.sqrt(variance_across + r) / max(abs(radius), 1e-9 * psi)
-        # Predict the next sample. Flux increment and measurement share the noise along e(φ).
-        gain = F @ Pg + cross_covariance * np.array([c, s, 0.0, 0.0, 0.0])
-        P = F @ P @ F.T + Q - np.outer(gain, gain) / innovation_variance
+        radial, across = np.zeros(n), np.zeros(n)
+        radial[[0, 1, 4, 5, 6]] = c, s, -1.0, -L * c, -L * s
+        across[[0, 1, 5, 6]] = -s, c, L * s, -L * c
+        gain = P @ radial
+        P = P - np.outer(gain, gain) / (radial @ gain)
+        std[k] = np.sqrt(across @ P @ across) / max(abs(radius), 1e-9 * psi)
+        P = F @ P @ F.T + Q
         P = (P + P.T) / 2
     return np.asarray(np.minimum(std, np.pi / np.sqrt(3)))
 
