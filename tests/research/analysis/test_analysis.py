@@ -20,6 +20,7 @@ from fluxobs.research.analysis import (
     immersion_gramian,
     observability_gramian,
     over_gain,
+    peak_gain,
     persistency,
     robust_bound,
 )
@@ -261,3 +262,55 @@ def test_a_drift_hardly_changes_the_multipliers_of_the_counter_example():
     psi = np.asarray(form.psi_record(case.rows))
     multipliers = over_gain(psi, case.h, form, (1e-2, 1.0, 1e2)).multipliers(2 * np.pi)
     np.testing.assert_allclose(multipliers, [1.500, 6.742, 10.056], atol=6e-4)
+
+
+def test_the_peak_gain_is_that_of_a_constant_and_of_a_fast_regressor():
+    """One direction at a time: 1/(γ φ²) if it is fixed; with a fast rotation twice that."""
+    h, gamma, size = 1e-3, 3.0, 1.4
+    fixed = np.tile([size, 0.0], (9000, 1))
+    Gamma = gamma * np.eye(2)
+    # The other direction forgets nothing: the gain is the length of the record.
+    assert peak_gain(fixed, Gamma, h, [8999], 4000) == pytest.approx(4.0, rel=1e-3)
+    angle = 200.0 * h * np.arange(9000)
+    turning = size * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    expected = 2 / (gamma * size**2)
+    assert peak_gain(turning, Gamma, h, [8000, 8500], 8000) == pytest.approx(expected, rel=0.03)
+
+
+def test_the_peak_gain_is_attained():
+    """The disturbance of the proof, simulated with an ODE solver, reaches the bound."""
+    rng = np.random.default_rng(4)
+    h, rows = 0.01, 600
+    t = h * np.arange(rows)
+    Phi = np.stack([np.sin(3 * t) + 0.3, np.cos(2 * t + 1)], axis=-1)
+    Gamma = np.array([[2.0, 0.4], [0.4, 1.0]])
+    gain = peak_gain(Phi, Gamma, h, [rows - 1], rows - 1)
+
+    def steps(k):
+        q = Phi[k] @ Gamma @ Phi[k]
+        return np.eye(2) - (1 - np.exp(-q * h)) / q * np.outer(Gamma @ Phi[k], Phi[k])
+
+    best = 0.0
+    for angle in np.linspace(0, np.pi, 48, endpoint=False):
+        v = np.array([np.cos(angle), np.sin(angle)])
+        adjoint = [v]
+        for k in reversed(range(rows - 1)):
+            adjoint.append(steps(k).T @ adjoint[-1])
+        b = np.array(adjoint[::-1])
+        b /= np.linalg.norm(b, axis=1)[:, None]
+
+        def rate(time, error, b=b):
+            k = min(int(time / h), rows - 1)
+            return -Gamma @ Phi[k] * (Phi[k] @ error) + b[k]
+
+        error = solve_ivp(rate, (0, t[-1]), [0, 0], max_step=h, rtol=1e-6).y[:, -1]
+        best = max(best, float(np.linalg.norm(error)))
+    assert best == pytest.approx(gain, rel=0.02)
+    # No disturbance of this size exceeds it.
+    for _ in range(5):
+        b = rng.standard_normal((rows, 2))
+        b /= np.linalg.norm(b, axis=1)[:, None]
+        error = np.zeros(2)
+        for k in range(rows - 1):
+            error = steps(k) @ (error + h * b[k])
+        assert np.linalg.norm(error) <= gain * 1.01

@@ -1,6 +1,6 @@
 """Excitation, identifiability, error bounds and stability along a trajectory."""
 
-from .bounds import bound_on_record, decay_rate, robust_bound
+from .bounds import bound_on_record, decay_rate, peak_gain, robust_bound
 from .excitation import Excitation, excitation, persistency
 from .identifiability import (
     compare_invisible,
@@ -27,6 +27,7 @@ __all__ = [
     "largest_exponent",
     "observability_gramian",
     "over_gain",
+    "peak_gain",
     "persistency",
     "robust_bound",
     "weighted_mean",

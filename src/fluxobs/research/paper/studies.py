@@ -9,7 +9,14 @@ import numpy as np
 from ...core.arrays import Array
 from ...observers.levitation_tracker import LevitationTracker
 from ...simulation.closed_form.sensors import Sensor, Steps
-from ..analysis import balanced_gain, bound_on_record, excitation, observability_gramian
+from ..analysis import (
+    balanced_gain,
+    bound_on_record,
+    excitation,
+    observability_gramian,
+    peak_gain,
+)
+from ..analysis.bounds import disturbance
 from ..regression import Parametrisation, Regressors
 from .converged import converged_run
 from .levitation import CORNER, LevitationRecord, filtered, measured
@@ -136,12 +143,14 @@ class Robust:
     ----------
     rms : dict
         Bias factor → relative rms flux error in the second half of the time before the jump.
-    bound, largest : float
-        Corrected bound and largest error in steady state, as relative values.
+    bound, tight, largest : float
+        Corrected bound, the least bound for disturbances of this size along the trajectory, and
+        largest error in steady state, as relative values.
     """
 
     rms: dict[float, float]
     bound: float
+    tight: float
     largest: float
 
 
@@ -165,7 +174,13 @@ def robust(run: LevitationRun) -> Robust:
     thin = nominal.part(slice(None, None, 5))
     drift, bias = base.drift[0], base.current_bias[0]
     bound = bound_on_record(thin, constants, Gamma, 5 * base.h, WINDOW, 0.0, drift, bias, t=np.inf)
-    return Robust(rms, float(bound / size), largest)
+    b = np.linalg.norm(disturbance(thin, constants, Gamma, drift, bias), axis=1).max()
+    period = round(base.scenario.period / (5 * base.h))
+    rows = len(thin.y)
+    lags = min(2 * period, rows // 2)
+    ends = np.arange(rows - min(period, rows - lags - 1), rows, max(1, period // 256))
+    gain = peak_gain(thin.Phi_flux, Gamma, 5 * base.h, ends, lags)
+    return Robust(rms, float(bound / size), float(gain * b / size), largest)
 
 
 @dataclass(frozen=True)
