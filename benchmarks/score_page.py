@@ -30,7 +30,11 @@ TITLES = {
         "96 drives of the same machines start at rest without load, take over, are loaded, "
         "accelerate or reverse. *Valid* is the share of the time in which the drive uses the "
         "observer. *Lost*: the drive trips, or does not follow its speed reference on a fifth of "
-        "the rows after 1.5 s; a drive that waits too long in its open-loop start is lost, too.",
+        "the rows after 1.5 s; a drive that waits too long in its open-loop start is lost, too. "
+        "That is how our observers lose drives: of the 49 of the adaptive observer, 26 never hand "
+        "over and 17 in the second half of the time (the open-loop start accelerates by a fifth of "
+        "the rated speed per second; at no load the drone motor is known from 36 % of it on, "
+        "the 5.6 kW machine from 13 %).",
     ),
     "measured": (
         "Measured logs",
