@@ -415,3 +415,33 @@ def test_a_machine_with_a_flux_map_comes_with_its_inductances(tmp_path):
     assert 0 < fields["L_d"] < fields["L_q"]
     assert fields["psi_f"] > 0
     assert pl.read_csv(fields["flux_map"]).height > 10
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("raise ValueError('no')", r"failed at .*bad\.py:6: ValueError: no"),
+        ("return None", "step must return theta_e"),
+        ("return (0.0,) * 7", "step must return theta_e"),
+        ("return [[0.0, 1.0]]", "step must return theta_e"),
+    ],
+)
+def test_an_entrant_that_fails_is_named_with_its_line(made, tmp_path, body, message):
+    (tmp_path / "bad.py").write_text(
+        "class Observer:\n    def __init__(self, machine, sample_time):\n        pass\n\n"
+        f"    def step(self, voltage, current):\n        {body}\n"
+    )
+    with pytest.raises(FluxobsError, match=message):
+        scored(f"{tmp_path / 'bad.py'}:Observer", made)
+
+
+def test_options_of_a_new_suite_are_refused_for_an_existing_one(made, tmp_path):
+    folder = str(made.folder)
+    for options in (("--seed", "9"), ("--drives", "2"), ("--recipe", "med2021-spmsm")):
+        done = fluxobs("score", "plain", "--suite", folder, *options, folder=tmp_path)
+        assert done.returncode == 2, options
+        assert "needs a new folder" in done.stderr
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").write_text("")
+    done = fluxobs("score", "plain", "--suite", "other", folder=tmp_path)
+    assert "contains thesis.tex; give a new folder" in done.stderr

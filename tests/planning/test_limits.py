@@ -93,5 +93,8 @@ def test_ratings():
     assert rating_of(machine, NAME, torque=0.5).torque == 0.5
     with pytest.raises(UsageError, match="rated_current is missing"):
         rating_of(machine.with_values(rated_current=None), NAME)
-    with pytest.raises(UsageError, match="must not be negative"):
-        Sensors.usual(12.0, rated, noise=-1.0)
+    for name, value in (("noise", -1.0), ("noise", np.nan), ("bits", 0.0), ("range", 0.0)):
+        with pytest.raises(UsageError, match="is impossible"):
+            Sensors.usual(12.0, rated, **{name: value})
+    with pytest.raises(UsageError, match="must be positive"):
+        rating_of(machine, NAME, dc_link=0.0)

@@ -102,6 +102,9 @@ def test_wishes_that_no_log_fulfils():
         planner({"L_d": 1e-5})
     with pytest.raises(UsageError, match="synchronous"):
         planner({"R_s": 0.1}, name="induction-2kw2")
+    for std, message in ((0.0, "must be positive"), (4.0, "more than the value, 0.36 Ω")):
+        with pytest.raises(UsageError, match=message):
+            planner({"R_s": std})
     with pytest.raises(FluxobsError, match="set points do not tell"):
         planner({"R_s": 0.006 * 0.36}, loaded=False).plan()
 
@@ -147,7 +150,9 @@ def test_the_commands(tmp_path):
     wrong = command("plan-test", NAME, "--want", "R_s=much", folder=tmp_path)
     assert "--want R_s=much: expected 3% or a number" in wrong.stderr
     shares = command("plan-test", NAME, "--want", "J=3%", folder=tmp_path)
-    assert "give it in its unit" in shares.stderr
+    assert "give it in kg m²" in shares.stderr
+    named = command("plan-test", NAME, "--want", "Rs=3%", folder=tmp_path)
+    assert "--want Rs: unknown; did you mean 'R_s'" in named.stderr
     listed = command("plan-test", NAME, *wants, "--json", folder=tmp_path)
     assert set(json.loads(listed.stdout)["stds"]) >= {"R_s", "inverter"}
     assert usual_wants(example(NAME))["inverter"][0] == pytest.approx(0.1 * 0.36 * 12)

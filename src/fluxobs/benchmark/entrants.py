@@ -29,7 +29,9 @@ from __future__ import annotations
 
 import time
 import tomllib
-from collections.abc import Callable, Mapping
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -132,7 +134,8 @@ def entrant(text: str, track: Track | None = None) -> Entrant:
         return Entrant.causal(path.stem, in_c(path))
     if ":" in text:
         make = in_python(text)
-        observer = make if isinstance(make, type) else make(SURFACE, 1e-4)
+        with _errors_of(None, text):
+            observer = make if isinstance(make, type) else make(SURFACE, 1e-4)
         name = text.rpartition(":")[2]
         if hasattr(observer, "step"):
             return Entrant.causal(name, lambda machine, h: _created(make, machine, h))
@@ -213,6 +216,21 @@ def _stored(folder: Path, entry: Entry) -> Estimates:
     return _named({name: table[name].to_numpy() for name in OUTPUTS if name in table.columns})
 
 
+@contextmanager
+def _errors_of(entry: Entry | None, name: str) -> Iterator[None]:
+    """Turn an exception of an entrant into an error that names record, file and line."""
+    try:
+        yield
+    except FluxobsError:
+        raise
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        where = "" if entry is None else f"{entry.name}: "
+        raise FluxobsError(
+            f"{where}{name} failed at {at.filename}:{at.lineno}: {type(error).__name__}: {error}"
+        ) from error
+
+
 def _created(make: Callable[..., Any], machine: Path, sample_time: float) -> Stepped:
     observer: Stepped = make(fields_of(machine), sample_time)
     return observer
@@ -220,15 +238,24 @@ def _created(make: Callable[..., Any], machine: Path, sample_time: float) -> Ste
 
 def _stepped(create: Create, suite: Suite, entry: Entry) -> Estimates | None:
     voltage, current = suite.log(entry)
-    observer = create(suite.machine_file(entry), entry.sample_time)
-    if observer is None:
-        return None
-    rows = list(zip(shifted(voltage, -1), current, strict=True))
-    began = time.perf_counter()
-    got = [observer.step(u, i) for u, i in rows]
-    seconds = (time.perf_counter() - began) / len(rows)
+    with _errors_of(entry, "the entrant"):
+        observer = create(suite.machine_file(entry), entry.sample_time)
+        if observer is None:
+            return None
+        rows = list(zip(shifted(voltage, -1), current, strict=True))
+        began = time.perf_counter()
+        got = [observer.step(u, i) for u, i in rows]
+        seconds = (time.perf_counter() - began) / len(rows)
     width = len(got[0]) if isinstance(got[0], tuple) else 1
-    values = np.array(got, float).reshape(len(rows), width)
+    try:
+        values = np.array(got, float).reshape(len(rows), width)
+    except (TypeError, ValueError):
+        values = np.empty((0, 0))
+    if len(values) != len(rows) or not 1 <= width <= len(OUTPUTS) or got[0] is None:
+        raise FluxobsError(
+            f"{entry.name}: step must return theta_e, or a tuple of one to {len(OUTPUTS)} numbers "
+            f"({', '.join(OUTPUTS)}), each time alike; got {got[0]!r}"
+        )
     return _ordered([values[:, k] for k in range(width)], seconds)
 
 
@@ -236,8 +263,11 @@ def _at_once(make: Callable[..., Any], suite: Suite, entry: Entry) -> Estimates:
     voltage, current = suite.log(entry)
     began = time.perf_counter()
     fields = fields_of(suite.machine_file(entry))
-    got = make(fields, entry.sample_time).estimate(voltage, current)
+    with _errors_of(entry, "the entrant"):
+        got = make(fields, entry.sample_time).estimate(voltage, current)
     seconds = (time.perf_counter() - began) / len(voltage)
+    if not isinstance(got, Mapping) or OUTPUTS[0] not in got:
+        raise FluxobsError(f"{entry.name}: estimate must return a mapping with theta_e")
     return _named({name: got[name] for name in OUTPUTS if name in got}, seconds)
 
 

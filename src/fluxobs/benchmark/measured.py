@@ -19,13 +19,12 @@ from pydantic import ValidationError
 from ..campaigns.specification import DriveTable
 from ..core.arrays import Array
 from ..core.input_files import read_toml
-from ..core.output import make_folder
 from ..core.validation import Table, complaints, nearest
 from ..errors import FluxobsError
 from ..logs import Log, read_log
 from ..machines import RotatingMachine, machine_from, rotating
 from ..machines.saving import write_machine
-from .suite import INDEX, Entry, Suite, write_index
+from .suite import Entry, Suite, new_folder, write_index
 
 #: Channels of a measured angle.
 ANGLES = ("theta_mech", "theta_e")
@@ -89,9 +88,7 @@ def write_measured(
     if not files:
         raise FluxobsError(f"{data}: no {recipe.files}; get the files from {recipe.source}")
     machine = rotating(machine_from(recipe.machine, source=name), "a benchmark")
-    make_folder(folder, INDEX, force=False)
-    for part in ("logs", "truth", "machines"):
-        (folder / part).mkdir(exist_ok=True)
+    new_folder(folder)
     write_machine(folder / "machines" / f"{name}.toml", machine, [f"Recipe {name}"], {}, True)
     entries = []
     for n, path in enumerate(files):

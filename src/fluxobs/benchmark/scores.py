@@ -127,7 +127,9 @@ def score(
     true_angle = truth["theta_e"]
     theta = np.where(np.isfinite(estimates.theta_e), estimates.theta_e, true_angle + np.pi)
     error = np.asarray(np.abs(machine.position_error(theta, true_angle)), float)
-    valid = np.ones(rows, bool) if estimates.valid is None else np.asarray(estimates.valid, bool)
+    valid = np.isfinite(estimates.theta_e)
+    if estimates.valid is not None:
+        valid &= np.asarray(estimates.valid, bool)
     std, known = estimates.theta_e_std, None
     if std is not None:
         known = np.where(np.isfinite(std), std, np.pi)

@@ -115,9 +115,7 @@ def write_suite(
     FluxobsError
         The folder cannot be written, or contains a suite already.
     """
-    make_folder(folder, INDEX, force=False)
-    for name in ("logs", "truth", "machines"):
-        (folder / name).mkdir(exist_ok=True)
+    new_folder(folder)
     entries: list[Entry] = []
     cells = [(m, c, e) for m in MACHINES for c in COURSES for e in ERRORS]
     for n, (machine, course, errors) in enumerate(cells):
@@ -135,6 +133,17 @@ def write_suite(
         if progress is not None:
             progress(n + 1, len(cells))
     return write_index(Suite(folder, seed, tuple(entries), {}))
+
+
+def new_folder(folder: Path) -> None:
+    """Create the folder of a suite; FluxobsError if it contains anything but an unfinished one."""
+    make_folder(folder, INDEX, force=False)
+    parts = ("logs", "truth", "machines")
+    other = sorted(entry.name for entry in folder.iterdir() if entry.name not in parts)
+    if other:
+        raise FluxobsError(f"{folder}: contains {other[0]}; give a new folder for the suite")
+    for name in parts:
+        (folder / name).mkdir(exist_ok=True)
 
 
 def write_index(suite: Suite) -> Suite:

@@ -18,7 +18,7 @@ from ..campaigns.drives import Cell, drive_of
 from ..campaigns.simulated import ScoredTrace, select_scored
 from ..campaigns.specification import Specification
 from ..core.arrays import Array
-from ..errors import FluxobsError
+from ..errors import FluxobsError, UsageError
 from ..observers import AdaptiveObserver
 from ..simulation.drive.simulate import check, simulate_lanes, substeps
 from .setup import Sensors, observer_of, quantities
@@ -240,7 +240,13 @@ def plan_drive(
     loads: Sequence[float] = LOADS,
     speeds: Array = SPEEDS,
 ) -> Plan:
-    """Return the plan of a drive over loads and speeds, as shares of the rated values."""
+    """Return the plan of a drive over loads and speeds, as shares of the rated values.
+
+    Raises
+    ------
+    UsageError
+        The drive cannot run at any speed and load.
+    """
     total = 1 + len(KNOWN) + len(BETTER)
 
     def report(done: int) -> None:
@@ -251,6 +257,11 @@ def plan_drive(
     traces = simulate_map(cell, quantities(sensors, cell, SIGNS), loads, speeds)
     known = map_of(observer, cell, traces, loads, speeds)
     report(1)
+    if np.isnan(known.valid).all():
+        raise UsageError(
+            f"the drive reaches none of the speeds under any load: check --torque "
+            f"({cell.rated.torque:.3g} N m), --speed and --dc-link ({cell.rated.dc_link:.3g} V)"
+        )
     lowest = known.lowest()
     at = int(np.nanargmax(lowest)) if np.isfinite(lowest).any() else 0
     if np.isnan(lowest).any():  # a load at which no speed is valid

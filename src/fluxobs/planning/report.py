@@ -55,8 +55,8 @@ def plan_text(plan: Plan) -> str:
             "none" if np.isnan(lowest) else f"{lowest:.2g} of rated, {_rpm(plan, lowest):.3g} rpm"
         )
         lines.append(f"{load:>10.0%}    {text}")
-    lines += ["", f"What twice the accuracy gains, at a load of {plan.load:.0%}"]
-    lines.append(f"    {'of':24s} {'lowest speed':>12s} {'std':>6s}")
+    lines += ["", f"If a quantity is known or measured twice as well, at a load of {plan.load:.0%}"]
+    lines.append(f"    {'quantity':24s} {'lowest speed':>12s} {'std':>7s}")
     for gain in plan.gains:
         if min(gain.lowest, gain.std) < WORTH:
             speed = "-" if np.isnan(gain.lowest) else f"x {gain.lowest:.2f}"
@@ -148,20 +148,23 @@ def sequence_text(sequence: Sequence, wanted: dict[str, float]) -> str:
     lines = [f"{sequence.points} set points, {sequence.duration:.1f} s", ""]
     lines.append(f"    {'':12s} {'promised':>16s} {'wanted':>16s}")
     for name, std in wanted.items():
-        unit = UNITS[name]
-        lines.append(
-            f"    {name:12s} {'± ' + si(sequence.stds[name], unit):>16s} "
-            f"{'± ' + si(std, unit):>16s}"
+        promised, asked = (_with_unit(value, UNITS[name]) for value in (sequence.stds[name], std))
+        value = abs(sequence.values[name])
+        share = (
+            f"{sequence.stds[name] / value:.1%} of {_with_unit(value, UNITS[name])}"
+            if value
+            else ""
         )
+        lines.append(f"    {name:12s} {promised:>16s} {asked:>16s}   {share}".rstrip())
     lines += ["", f"    {'from s':>8s} {'to s':>8s} {'rpm':>8s} {'i_d A':>8s} {'i_q A':>8s}"]
-    held = [knot for knot in sequence.knots if not knot.free]
+    held = [knot for knot in sequence.knots if knot.t <= sequence.ramps_from]
     for begin, end in pairwise(held):
         if (begin.speed, begin.i_d, begin.i_q) == (end.speed, end.i_d, end.i_q) and begin.speed > 0:
             lines.append(
-                f"    {begin.t:8.2f} {end.t:8.2f} {begin.speed * RPM:8.1f} {begin.i_d:8.3g} "
-                f"{begin.i_q:8.3g}"
+                f"    {begin.t:8.2f} {end.t:8.2f} {begin.speed * RPM:8.1f} {begin.i_d + 0:8.3g} "
+                f"{begin.i_q + 0:8.3g}"
             )
-    free = [knot for knot in sequence.knots if knot.free]
+    free = [knot for knot in sequence.knots if knot.t > sequence.ramps_from]
     if free:
         top = max(knot.speed for knot in free) * RPM
         low = min(knot.speed for knot in free if knot.speed > 0) * RPM
@@ -170,6 +173,11 @@ def sequence_text(sequence: Sequence, wanted: dict[str, float]) -> str:
             f"{top:.0f} rpm, i_d = {free[0].i_d:.3g} A"
         )
     return "\n".join(lines)
+
+
+def _with_unit(value: float, unit: str) -> str:
+    """Format a number; a unit with a kilogram takes no prefix."""
+    return f"{value:.3g} {unit}" if unit.startswith("kg") else si(value, unit)
 
 
 def write_sequence(sequence: Sequence, out: Path, force: bool) -> None:

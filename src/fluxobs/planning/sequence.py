@@ -22,6 +22,7 @@ import numpy as np
 from ..core.arrays import Array
 from ..errors import FluxobsError, UsageError
 from ..identification.identify import mechanics_of
+from ..identification.values import UNITS
 from ..logs.scales import Scales
 from ..machines import InductionMachine, RotatingMachine
 from ..presentation import Result, estimate
@@ -221,9 +222,17 @@ class Planner:
                 raise UsageError(
                     f"--want {name}: this machine has {', '.join(self.values)} to be known"
                 )
+            if not 0 < std < np.inf:
+                raise UsageError(f"--want {name}: a standard deviation must be positive")
+            if name != "inverter" and std > abs(self.values[name]):
+                raise UsageError(
+                    f"--want {name}: ± {std:.3g} {UNITS[name]} is more than the value, "
+                    f"{self.values[name]:.3g} {UNITS[name]}"
+                )
             if not std > self.floors[name]:
                 raise UsageError(
-                    f"--want {name}: no log tells it better than ± {self.floors[name]:.3g}, since "
+                    f"--want {name}: no log tells it better than ± {self.floors[name]:.3g} "
+                    f"{UNITS[name]}, since "
                     f"the scales of the sensors are unknown; if they are known better, state it: "
                     f"--prior voltage_scale=0.005 --prior current_scale=0.005"
                 )
@@ -391,7 +400,9 @@ class Planner:
             knots.append(Knot(t, point.speed / n_p, i.real, i.imag))
             last = point
         t += max(CHANGE, RAMP * last.speed / self.rated.speed_e)
-        return [*knots, Knot(t, 0.0, least, 0.0)]
+        knots.append(Knot(t, 0.0, least, 0.0))
+        # Without a load machine, the drive itself controls the speed.
+        return knots if self.loaded else [replace(knot, free=True) for knot in knots]
 
     def _first(self) -> _Point:
         """Return the set point at which an observer finds the position after the run-up."""

@@ -67,8 +67,10 @@ class Sensors:
             if name not in usual:
                 raise UsageError(f"unknown value {name}; known are {', '.join(usual)}")
         values = usual | stated
-        if not (min(values.values()) >= 0 and values["bits"] >= 1 and values["range"] > 0):
-            raise UsageError("values of sensors and inverter must not be negative")
+        for name, value in values.items():
+            least = {"bits": 1.0, "range": 1e-12}.get(name, 0.0)
+            if not least <= value < np.inf:
+                raise UsageError(f"--{name.replace('_', '-')}: {value:g} is impossible")
         return cls(**values)
 
     @property
@@ -104,6 +106,10 @@ def rating_of(machine: RotatingMachine, name: str, **given: float | None) -> Rat
     values: dict[str, float] = dict(vars(RATINGS[name])) if name in RATINGS else {}
     values |= {key: value for key, value in given.items() if value is not None}
     options = {"speed_e": "--speed", "dc_link": "--dc-link", "sample_time": "--sample-time"}
+    names = options | {"torque": "--torque", "J": "--inertia"}
+    for key, value in values.items():
+        if not 0 < value < np.inf:
+            raise UsageError(f"{names[key]} must be positive")
     missing = [option for key, option in options.items() if key not in values]
     if missing:
         raise UsageError(f"{name} is not a shipped machine: give its {', '.join(missing)}")

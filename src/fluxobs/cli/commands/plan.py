@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ...core.validation import nearest
 from ...errors import UsageError
 from .. import show
 from ..options import ForceOption, JsonOption, Pairs, PriorOption, QuietOption, numbers, pairs
@@ -27,15 +28,23 @@ def _number(name: str, about: str) -> Any:
 #: Options of a planned drive: argument → annotation. A shipped machine has ratings.
 DRIVE: dict[str, Any] = {
     "speed": _number("speed", "Rated speed [rpm]."),
-    "torque": _number("torque", "Rated torque [N m]; default: from the rated current."),
+    "torque": _number("torque", "Rated torque [N m]; default 90 % of that of the rated current."),
     "inertia": _number("inertia", "Inertia with the load [kg m²]; default: usual."),
     "dc_link": _number("dc-link", "DC-link voltage [V]."),
     "sample_time": _number("sample-time", "Sample time [s]."),
-    "noise": _number("noise", "Noise of a current [A]; default 0.2 % of the rated current."),
-    "offset": _number("offset", "Offset of a current [A]; default 1 % of the rated current."),
-    "gain": _number("gain", "Gain of a phase against the others; default 0.01."),
+    "noise": _number(
+        "noise", "Noise of a current, standard deviation [A]; default 0.2 % of the rated current."
+    ),
+    "offset": _number(
+        "offset", "Offset of a current, standard deviation [A]; default 1 % of the rated current."
+    ),
+    "gain": _number(
+        "gain", "Standard deviation of a phase's gain against the others; default 0.01."
+    ),
     "bits": _number("bits", "Bits of the A/D converter; default 12."),
-    "range": _number("range", "Its largest current [A]; default 2.5 times the rated current."),
+    "range": _number(
+        "range", "Largest current of the A/D converter [A]; default 2.5 times the rated current."
+    ),
     "dead_time": _number("dead-time", "Uncompensated dead time [s]; default 1 % of a sample."),
     "drop": _number("drop", "Uncompensated drop of a switch [V]; default 0.2 % of the DC link."),
 }
@@ -111,9 +120,13 @@ def plan(
     Example: fluxobs machine plan motor.toml --speed 3000 --dc-link 48 --sample-time 1e-4
     """
     from ...campaigns.drives import planned_cell
+    from ...core.output import check_new
+    from ...core.plots import FORMATS
     from ...planning.limits import plan_drive
     from ...planning.report import plan_data, plan_text, write_plan
 
+    if out is not None:
+        check_new(out, FORMATS, force)  # an error now, not after the simulations
     _, rated, sensors = _setup(machine, drive)
     with show.Progress() as progress:
         planned = plan_drive(planned_cell(machine, rated), sensors, progress)
@@ -184,7 +197,8 @@ def plan_test(
     elif not quiet:
         show.echo(sequence_text(sequence, wanted))
         names = ",".join(name for name in wanted if name != "J")
-        show.say(f"\nThen: `fluxobs identify LOG --machine {machine} --free {names}`.")
+        if names:
+            show.say(f"\nThen: `fluxobs identify LOG --machine {machine} --free {names}`.")
         if "J" in wanted:
             show.say(
                 f"J from the free part: `fluxobs identify LOG --machine {machine} --free J "
@@ -195,13 +209,16 @@ def plan_test(
 def _wanted(given: dict[str, str], usual: dict[str, tuple[float, float]]) -> dict[str, float]:
     """Parse standard deviations, as shares in percent or in the unit of the parameter."""
     wanted = {}
+    known = [*usual, "J"]
     for name, text in given.items():
+        if name not in known:
+            raise UsageError(f"--want {name}: unknown{nearest(name, known)}")
         try:
             share = text.endswith("%")
             number = float(text.removesuffix("%")) / (100 if share else 1)
         except ValueError:
             raise UsageError(f"--want {name}={text}: expected 3% or a number") from None
         if share and name not in usual:
-            raise UsageError(f"--want {name}={text}: give it in its unit, without %")
+            raise UsageError(f"--want {name}={text}: give it in kg m², without %")
         wanted[name] = number * usual[name][1] if share else number
     return wanted

@@ -48,13 +48,19 @@ def score(
         typer.Option(help="Folder of the suite. A missing suite is simulated first."),
     ],
     seed: Annotated[
-        int,
-        typer.Option(min=0, help="Seed of a new suite: 1 is public, whoever judges takes another."),
-    ] = 1,
+        int | None,
+        typer.Option(
+            min=0, help="Seed of a new suite; default 1, the public one. A judge takes another."
+        ),
+    ] = None,
     drives: Annotated[
-        int,
-        typer.Option(min=1, help="Drives of each machine, course and kind of errors, if new."),
-    ] = 1,
+        int | None,
+        typer.Option(
+            min=1,
+            help="Drives of each machine, course and kind of errors, of a new suite or of the "
+            "closed loop; default 1.",
+        ),
+    ] = None,
     track: Annotated[
         Track | None,
         typer.Option(
@@ -105,16 +111,17 @@ def score(
     with show.Progress() as progress:
         if (suite / INDEX).exists():
             found = read_suite(suite)
+            _check_existing(found, seed, None if in_loop else drives, recipe)
         elif recipe is not None:
             found = _measured(suite, recipe, data, progress)
         else:
-            found = write_suite(suite, seed, drives, progress)
+            found = write_suite(suite, 1 if seed is None else seed, drives or 1, progress)
         results = []
         for one in known:
             if in_loop:
                 from ...benchmark.loop import score_in_loop
 
-                scores = score_in_loop(one, found, drives, progress)
+                scores = score_in_loop(one, found, drives or 1, progress)
                 one = replace(one, track=Track.closed_loop.value)
             else:
                 scores = score_entrant(one, found, progress)
@@ -127,6 +134,20 @@ def score(
     elif not quiet:
         typer.echo(f"{found.title}.")
         typer.echo(text_table(summaries))
+        for one, scores, _ in results:
+            if not scores:
+                typer.echo(f"{one.name}: no observer for the machines of the suite")
+
+
+def _check_existing(suite: Suite, seed: int | None, drives: int | None, recipe: str | None) -> None:
+    """Refuse options of a new suite that an existing one does not have."""
+    if seed is not None and seed != suite.seed:
+        raise UsageError(
+            f"{suite.folder}: exists with seed {suite.seed}; --seed {seed} needs a new folder"
+        )
+    for option, value in (("--drives", drives), ("--recipe", recipe)):
+        if value is not None:
+            raise UsageError(f"{suite.folder}: exists; {option} needs a new folder")
 
 
 def _measured(suite: Path, recipe: str, data: Path | None, progress: show.Progress) -> Suite:
