@@ -145,7 +145,7 @@ def plan_figure(plan: Plan) -> Figure:
 
 def sequence_text(sequence: Sequence, wanted: dict[str, float]) -> str:
     """Return a test as text."""
-    lines = [f"{sequence.points} set points, {sequence.duration:.1f} s", ""]
+    lines = [f"{sequence.points} set points, {sequence.duration:.1f} s. Standard deviations:", ""]
     lines.append(f"    {'':12s} {'promised':>16s} {'wanted':>16s}")
     for name, std in wanted.items():
         promised, asked = (_with_unit(value, UNITS[name]) for value in (sequence.stds[name], std))
