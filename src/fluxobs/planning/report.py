@@ -155,7 +155,9 @@ def sequence_text(sequence: Sequence, wanted: dict[str, float]) -> str:
             if value
             else ""
         )
-        lines.append(f"    {name:12s} {promised:>16s} {asked:>16s}   {share}".rstrip())
+        lines.append(
+            f"    {name:12s} {'± ' + promised:>16s} {'± ' + asked:>16s}   {share}".rstrip()
+        )
     lines += ["", f"    {'from s':>8s} {'to s':>8s} {'rpm':>8s} {'i_d A':>8s} {'i_q A':>8s}"]
     held = [knot for knot in sequence.knots if knot.t <= sequence.ramps_from]
     for begin, end in pairwise(held):
