@@ -241,33 +241,37 @@ REPEATED = (
 )
 
 
-def reads_logs(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add the options of :data:`LAYOUT`, except `without`, to a command as argument `layout`."""
-    names = [name for name in LAYOUT if name not in without]
+def with_options(
+    argument: str, table: dict[str, Any], convert: Callable[[dict[str, Any]], Any]
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Add the options of a table to a command, which gets them converted as one argument."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         signature = inspect.signature(command, eval_str=True)
-        own_parameters = [p for p in signature.parameters.values() if p.name != "layout"]
-        layout_parameters = [
-            inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=LAYOUT[name]
-            )
-            for name in names
+        own_parameters = [p for p in signature.parameters.values() if p.name != argument]
+        added_parameters = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+            for name, kind in table.items()
         ]
         own_parameters = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own_parameters]
+        parameters = [*own_parameters, *added_parameters]
 
         @wraps(command)
         def wrapper(**arguments: Any) -> None:
-            options = {name: arguments.pop(name) for name in names}
-            command(**arguments, layout=layout_of(options))
+            options = {name: arguments.pop(name) for name in table}
+            command(**arguments, **{argument: convert(options)})
 
-        wrapper.__signature__ = signature.replace(parameters=[*own_parameters, *layout_parameters])  # type: ignore[attr-defined]
-        wrapper.__annotations__ = {
-            p.name: p.annotation for p in [*own_parameters, *layout_parameters]
-        }
+        wrapper.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        wrapper.__annotations__ = {p.name: p.annotation for p in parameters}
         return wrapper
 
     return decorate
+
+
+def reads_logs(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Add the options of :data:`LAYOUT`, except `without`, to a command as argument `layout`."""
+    table = {name: kind for name, kind in LAYOUT.items() if name not in without}
+    return with_options("layout", table, layout_of)
 
 
 def layout_of(options: dict[str, Any]) -> dict[str, Any]:

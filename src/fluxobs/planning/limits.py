@@ -19,6 +19,7 @@ from ..campaigns.simulated import ScoredTrace, select_scored
 from ..campaigns.specification import Specification
 from ..core.arrays import Array
 from ..errors import FluxobsError, UsageError
+from ..estimation.lag import shifted
 from ..observers import AdaptiveObserver
 from ..simulation.drive.simulate import check, simulate_lanes, substeps
 from .setup import Sensors, observer_of, quantities
@@ -159,8 +160,7 @@ def map_of(
             if trace is None:
                 continue
             u, i = (np.stack([v.real, v.imag], axis=-1) for v in (trace.voltage, trace.current))
-            before = np.concatenate([np.full((1, 2), np.nan), u[:-1]])
-            estimate = observer.run(before, i)
+            estimate = observer.run(shifted(u, -1), i)
             known = estimate.valid[counted]
             valid[m, n] = known.mean()
             std[m, n] = np.sqrt(np.mean(np.minimum(estimate.theta_e_std[counted], np.pi) ** 2))
@@ -172,7 +172,7 @@ def map_of(
 
 @dataclass(frozen=True)
 class Gain:
-    """What the observer gains if something is known, or measured, twice as well.
+    """What the observer gains if a quantity is known or measured twice as well.
 
     Attributes
     ----------

@@ -21,6 +21,7 @@ import numpy as np
 
 from ..core.arrays import Array
 from ..errors import FluxobsError, UsageError
+from ..estimation.lag import shifted
 from ..identification.identify import mechanics_of
 from ..identification.values import UNITS
 from ..logs.scales import Scales
@@ -265,7 +266,7 @@ class Planner:
                 own = std**2 - self.floors[name] ** 2
                 if np.isfinite(own):  # else the position is not known on the way
                     factors[name] = max(own, 0.0) ** 0.5 / predicted[name]
-        text = ", ".join(f"{name} ± {std:.3g}" for name, std in reached.items())
+        text = ", ".join(f"{name} ± {std:.3g} {UNITS[name]}" for name, std in reached.items())
         raise FluxobsError(
             f"{len(candidates)} set points do not tell the parameters that well; they reach "
             f"{text}. Better sensors, or priors of what is known (--prior) help"
@@ -309,9 +310,8 @@ class Planner:
         u, i, theta = self._record(
             constant[::PARTS], point.speed * constant, point.current * constant
         )
-        before = np.concatenate([np.full((1, 2), np.nan), u[:-1]])
         samples = RecordSamples(
-            before, i, np.zeros(len(i), np.int64), theta, np.full(len(i), ANCHOR)
+            shifted(u, -1), i, np.zeros(len(i), np.int64), theta, np.full(len(i), ANCHOR)
         )
         start = self.model.prior()
         record = smooth_record(self.model, samples, start, learning=True)

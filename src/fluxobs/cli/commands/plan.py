@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
 import json
-from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +11,16 @@ import typer
 from ...core.validation import nearest
 from ...errors import UsageError
 from .. import show
-from ..options import ForceOption, JsonOption, Pairs, PriorOption, QuietOption, numbers, pairs
+from ..options import (
+    ForceOption,
+    JsonOption,
+    Pairs,
+    PriorOption,
+    QuietOption,
+    numbers,
+    pairs,
+    with_options,
+)
 
 if TYPE_CHECKING:
     from ...machines import RotatingMachine
@@ -51,29 +57,6 @@ DRIVE: dict[str, Any] = {
 SENSORS = ("noise", "offset", "gain", "bits", "range", "dead_time", "drop")
 
 
-def _of_a_drive(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options of DRIVE to a command as argument `drive`."""
-    signature = inspect.signature(command, eval_str=True)
-    own = [
-        p.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for p in signature.parameters.values()
-        if p.name != "drive"
-    ]
-    added = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
-        for name, kind in DRIVE.items()
-    ]
-
-    @wraps(command)
-    def wrapper(**arguments: Any) -> None:
-        drive = {name: arguments.pop(name) for name in DRIVE}
-        command(**arguments, drive=drive)
-
-    wrapper.__signature__ = signature.replace(parameters=own + added)  # type: ignore[attr-defined]
-    wrapper.__annotations__ = {p.name: p.annotation for p in own + added} | {"return": None}
-    return wrapper
-
-
 def _setup(machine: str, drive: dict[str, Any]) -> tuple[RotatingMachine, Rating, Sensors]:
     from ...machines import as_machine, rotating
     from ...planning.setup import Sensors, rating_of
@@ -100,7 +83,7 @@ MachineArgument = Annotated[
 ]
 
 
-@_of_a_drive
+@with_options("drive", DRIVE, dict)
 def plan(
     machine: MachineArgument,
     drive: dict[str, Any],
@@ -138,7 +121,7 @@ def plan(
         show.echo(plan_text(planned))
 
 
-@_of_a_drive
+@with_options("drive", DRIVE, dict)
 def plan_test(
     machine: MachineArgument,
     drive: dict[str, Any],
