@@ -1,7 +1,8 @@
-"""Table of docs/constraints.md: the relations that the machines of the library satisfy."""
+"""Tables of docs/constraints.md: relations and visible coordinates of the library's machines."""
 
 from fluxobs.research import blondel_park, discover_constraint
 from fluxobs.research.energies.library import LIBRARY, doubly_fed
+from fluxobs.research.energies.position import position_visibility
 
 
 def row(name: str, system: object, **options: object) -> str:
@@ -27,3 +28,14 @@ if __name__ == "__main__":
         system = make()
         print(row(system.name, system))
     print(row("cage induction (rotor unmeasured)", doubly_fed(), ports=(0, 1)))
+
+    print()
+    print("| machine | ports | visible coordinates | relations | positions | seen at rest |")
+    print("|---|---|---|---|---|---|")
+    for make in LIBRARY:
+        got = position_visibility(make())
+        visible = f"{got.visible} of {got.coordinates}"
+        print(
+            f"| {got.name} | {got.ports} | {visible} | {got.relations} | {got.positions} "
+            f"| {got.at_rest} of {got.coordinates} |"
+        )
