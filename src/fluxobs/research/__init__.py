@@ -14,6 +14,7 @@ from .energies.discovery import (
 )
 from .energies.integrate import Trajectory, integrate
 from .energies.orbit import PeriodicOrbit, periodic_orbit
+from .energies.position import PositionVisibility, position_visibility, velocity_from_flux
 from .energies.system import (
     ElectromechanicalSystem,
     Power,
@@ -22,6 +23,7 @@ from .energies.system import (
     linear_magnetics,
 )
 from .relation_observer import RelationEstimate, RelationObserver
+from .relation_smoother import integrated_flux, smooth_record
 
 __all__ = [
     "BlondelPark",
@@ -29,6 +31,7 @@ __all__ = [
     "ElectromechanicalSystem",
     "FeatureDiscovery",
     "PeriodicOrbit",
+    "PositionVisibility",
     "Power",
     "RelationEstimate",
     "RelationObserver",
@@ -40,6 +43,10 @@ __all__ = [
     "discover_in_features",
     "inertia",
     "integrate",
+    "integrated_flux",
     "linear_magnetics",
     "periodic_orbit",
+    "position_visibility",
+    "smooth_record",
+    "velocity_from_flux",
 ]

@@ -160,6 +160,32 @@ class RelationObserver(eqx.Module):
         P = jnp.diag(jnp.concatenate([self.flux_prior, self.drift_prior, self.moving_prior]) ** 2)
         return RelationState(x, P, jnp.full(n, jnp.nan))
 
+    def move(
+        self, x: jax.Array, volt_seconds: jax.Array, before: jax.Array, current: jax.Array
+    ) -> jax.Array:
+        """Return the state (λ, θ, η) one sample later; `before` and `current` are its currents."""
+        n, h = self.n, self.sample_time
+        flux, drift, eta = x[:n], x[n : 2 * n], x[2 * n :]
+        after = flux + volt_seconds + h * drift
+        if self.motion is not None:
+            rate = self.motion(flux, eta, before)
+            ahead = self.motion(after, eta + h * rate, current)
+            eta = eta + h * (rate + ahead) / 2  # Heun
+        return jnp.concatenate([after, drift, eta])
+
+    def walk(self) -> jax.Array:
+        """Return the covariance that a sample adds: voltage noise and walk of the drift."""
+        n, h = self.n, self.sample_time
+        return jnp.diag(
+            jnp.concatenate(
+                [
+                    jnp.full(n, (h * self.voltage_noise) ** 2),
+                    jnp.full(n, h * self.drift_walk**2),
+                    jnp.zeros(len(self.moving)),
+                ]
+            )
+        )
+
     def step(
         self, state: RelationState, volt_seconds: jax.Array, current: jax.Array
     ) -> tuple[RelationState, jax.Array]:
@@ -179,30 +205,16 @@ class RelationObserver(eqx.Module):
         innovation : (r,) array
             Residual of the relations over its standard deviation.
         """
-        n, h = self.n, self.sample_time
+        n = self.n
         begun = jnp.isfinite(state.current).all()
         before = jnp.where(begun, state.current, current)
-        push = jnp.where(begun, 1.0, 0.0)
 
         def move(x: jax.Array) -> jax.Array:
-            flux, drift, eta = x[:n], x[n : 2 * n], x[2 * n :]
-            after = flux + push * (volt_seconds + h * drift)
-            if self.motion is not None:
-                rate = self.motion(flux, eta, before)
-                ahead = self.motion(after, eta + push * h * rate, current)
-                eta = eta + push * h * (rate + ahead) / 2  # Heun
-            return jnp.concatenate([after, drift, eta])
+            return jnp.where(begun, self.move(x, volt_seconds, before, current), x)
 
         F = jax.jacfwd(move)(state.x)
         x = move(state.x)
-        walk = jnp.concatenate(
-            [
-                jnp.full(n, (h * self.voltage_noise) ** 2),
-                jnp.full(n, h * self.drift_walk**2),
-                jnp.zeros(len(self.moving)),
-            ]
-        )
-        P = F @ state.P @ F.T + push * jnp.diag(walk)
+        P = F @ state.P @ F.T + jnp.where(begun, 1.0, 0.0) * self.walk()
 
         def residual(x: jax.Array, i: jax.Array) -> jax.Array:
             return self.relation(x[:n], x[2 * n :], i)
@@ -226,11 +238,7 @@ class RelationObserver(eqx.Module):
 
     def run(self, volt_seconds: Any, current: Any) -> RelationEstimate:
         """Process the currents of a record and the volt-seconds before each row, both (rows, n)."""
-        v, i = real("volt_seconds", volt_seconds), real("current", current)
-        if v.shape != i.shape or v.ndim != 2 or v.shape[1] != self.n:
-            raise ModelError(
-                f"volt_seconds and current must be (rows, {self.n}), got {v.shape} and {i.shape}"
-            )
+        v, i = records(self, volt_seconds, current)
         x, P, innovation = (np.asarray(values) for values in _run(self, v, i))
         std = np.sqrt(np.maximum(P, 0.0))
         n = self.n
@@ -243,6 +251,18 @@ class RelationObserver(eqx.Module):
             std[:, 2 * n :],
             innovation,
         )
+
+
+def records(
+    observer: RelationObserver, volt_seconds: Any, current: Any
+) -> tuple[jax.Array, jax.Array]:
+    """Return volt-seconds and currents (rows, n) as arrays, or raise ModelError."""
+    v, i, n = real("volt_seconds", volt_seconds), real("current", current), observer.n
+    if v.shape != i.shape or v.ndim != 2 or v.shape[1] != n:
+        raise ModelError(
+            f"volt_seconds and current must be (rows, {n}), got {v.shape} and {i.shape}"
+        )
+    return v, i
 
 
 @eqx.filter_jit

@@ -254,15 +254,33 @@ def _excitation(scenarios: Mapping[str, Any]) -> list[str]:
     return [
         "## Excitation",
         "The table shows the per-unit ratio of smallest to largest eigenvalue over 2 s and the "
-        "direction that the observability Gramian sees least.",
+        "direction that the observability Gramian sees least. The first two columns need no filter: "
+        "the covariance of the relation's gradient n = ∇_λ w, positive if and only if (pe1) holds, "
+        "and the smallest eigenvalue of the Gramian of (n, n t, −1), positive if and only if flux "
+        "and drift are observable. For the levitation, n = (φ₂(g − q), φ₁(g + q)): while the "
+        "common flux is constant, only the force for the acceleration moves n₁ + n₂.",
         table(
-            ["scenario", "Φ_λ (pe1)", "Ψ (pe2)", "observability", "seen least"],
+            [
+                "scenario",
+                "n",
+                "(n, n t, −1)",
+                "Φ_λ (pe1)",
+                "Ψ (pe2)",
+                "observability",
+                "seen least",
+            ],
             [
                 [
                     name,
                     *(
                         f"{run['excitation'][key]:.1e}"
-                        for key in ("flux", "all_constants", "observability")
+                        for key in (
+                            "gradient",
+                            "certificate",
+                            "flux",
+                            "all_constants",
+                            "observability",
+                        )
                     ),
                     ", ".join(
                         f"{unknown} {share:.2g}"
@@ -296,6 +314,7 @@ def _stability(scenarios: Mapping[str, Any]) -> list[str]:
             f"{name}, {when} the jump",
             "none" if run["period"] is None else f"{run['period']:.3f} s",
             *(_growth(*run[when][factor]) for factor in factors),
+            *(f"{value:+.3g}" for value in run["limits"][when]),
         ]
         for name, run in studied.items()
         for when in ("before", "after")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.arrays import Array
-from ..analysis import excitation, over_gain
+from ..analysis import excitation, large_gain_sum, over_gain, small_gain_rates
 from ..regression import Parametrisation, Regressors, periodic_regression
 from .levitation import (
     ADAPTIVE_GAIN,
@@ -47,12 +47,16 @@ class Growth:
         Largest |Floquet multiplier| of the closed loop on the orbit; the orbit attracts below one.
     before, after : dict
         Gain factor → (exponent, uncertainty) [1/s].
+    limits : dict
+        "before" or "after" → (largest exponent over √γ at small gain [s^-1], sum of the finite
+        exponents at large gain [1/s]), in closed form.
     """
 
     period: float | None
     attracts: float | None
     before: dict[str, tuple[float, float]]
     after: dict[str, tuple[float, float]]
+    limits: dict[str, tuple[float, float]]
 
 
 def printed_constants() -> Parametrisation:
@@ -72,9 +76,12 @@ def growth(record: LevitationRecord, rows: Regressors) -> Growth:
     """Return the exponents of a scenario from its orbit or, without an orbit, from the record."""
     name, constants = record.scenario.name, printed_constants()
     has_orbit = record.scenario.bias_current > 0
-    rates = []
-    for segment, (start, stop) in enumerate(
-        ((0.0, record.jump), (record.jump, float(record.t[-1]) + record.h))
+    rates, limits, gain = [], {}, np.array(ADAPTIVE_GAIN)
+    for segment, (when, start, stop) in enumerate(
+        (
+            ("before", 0.0, record.jump),
+            ("after", record.jump, float(record.t[-1]) + record.h),
+        )
     ):
         if has_orbit:
             psi, h = psi_on_orbit(name, segment)
@@ -82,7 +89,11 @@ def growth(record: LevitationRecord, rows: Regressors) -> Growth:
             inside = (record.t > start + AFTER_START) & (record.t < stop - record.h / 2)
             span = rows.part(inside)
             psi, h = np.asarray(constants.psi_record(span)), record.h
-        study = over_gain(psi, h, constants, FACTORS, np.array(ADAPTIVE_GAIN), has_orbit)
+        study = over_gain(psi, h, constants, FACTORS, gain, has_orbit)
+        limits[when] = (
+            float(small_gain_rates(psi, constants, gain)[0].real),
+            large_gain_sum(psi, constants, gain),
+        )
         rates.append(
             {
                 f"{gain:g}": (float(value), float(error))
@@ -92,9 +103,9 @@ def growth(record: LevitationRecord, rows: Regressors) -> Growth:
             }
         )
     if not has_orbit:
-        return Growth(None, None, *rates)
+        return Growth(None, None, rates[0], rates[1], limits)
     attracts = float(np.abs(orbit(name).multipliers).max())
-    return Growth(SCENARIOS[name].period, attracts, *rates)
+    return Growth(SCENARIOS[name].period, attracts, rates[0], rates[1], limits)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,12 @@ from ...simulation.closed_form.sensors import Sensor, Steps
 from ..analysis import (
     balanced_gain,
     bound_on_record,
+    certify_observability,
     excitation,
+    gradient_excitation,
     observability_gramian,
     peak_gain,
+    relation_gradients,
 )
 from ..analysis.bounds import disturbance
 from ..regression import Parametrisation, Regressors
@@ -40,6 +43,10 @@ class Excited:
 
     Attributes
     ----------
+    gradient : float
+        Ratio for the gradient n of the relation, the condition on signals for (pe1).
+    certificate : float
+        Smallest per-unit eigenvalue of the condition on signals for flux and drift.
     flux : float
         Ratio for Φ_λ (pe1).
     all_constants : float
@@ -50,6 +57,8 @@ class Excited:
         Per-unit shares of flux, drift and current bias in the Gramian's least visible direction.
     """
 
+    gradient: float
+    certificate: float
     flux: float
     all_constants: float
     observability: float
@@ -64,8 +73,11 @@ def _nominal(run: LevitationRun) -> tuple[Regressors, int, int]:
 
 def excited(run: LevitationRun) -> Excited:
     """Compute the excitation of a scenario."""
-    rows, _, _ = _nominal(run)
+    rows, skip, jump = _nominal(run)
     h, size = run.record.h, sizes(run.record)[1]
+    signals = [signal[skip:jump:5] for signal in (run.record.flux, run.record.true_current)]
+    relations = [run.record.constraint]
+    n, _ = relation_gradients(relations, *signals)
     constants = Parametrisation(run.record.constraint, "structured", CORNER)
     psi = np.asarray(constants.psi_record(rows))
     thin = slice(None, None, 5)
@@ -80,6 +92,8 @@ def excited(run: LevitationRun) -> Excited:
     weakest /= np.linalg.norm(weakest)
     blocks = {"flux": slice(0, 2), "drift": slice(2, 4), "current bias": slice(4, 6)}
     return Excited(
+        gradient_excitation(n, 5 * h, WINDOW).ratio,
+        float(certify_observability(relations, *signals, 5 * h, WINDOW).smallest.min()),
         flux.ratio,
         full.ratio,
         float(max(values[0], 0) / values[-1]),
@@ -203,18 +217,32 @@ class Noisy:
     valid: float
 
 
-def with_noise(record: LevitationRecord) -> tuple[Array, Array]:
-    """Return (currents, volt-seconds) with sensor noise.
+#: White noise of the sensors at 1 kHz [A], [V], and the steps of their converters.
+CURRENT_NOISE, VOLTAGE_NOISE = 1e-3, 1e-2
+CURRENT_STEP, VOLTAGE_STEP = 5e-4, 5e-3
 
-    The noise is white, 1 mA and 10 mV at 1 kHz; the converter steps are 0.5 mA and 5 mV.
+
+def noise_std() -> tuple[float, float]:
+    """Return the standard deviations of a current [A] and a voltage [V], converter steps included.
+
+    A step q has the variance q²/12.
     """
+    return (
+        float(np.hypot(CURRENT_NOISE, CURRENT_STEP / np.sqrt(12))),
+        float(np.hypot(VOLTAGE_NOISE, VOLTAGE_STEP / np.sqrt(12))),
+    )
+
+
+def with_noise(record: LevitationRecord, seed: int = 1) -> tuple[Array, Array]:
+    """Return (currents, volt-seconds) with sensor noise and converter steps."""
     machine, h = record.machine, record.h
-    current_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-3, quantum=5e-4)
-    voltage_sensor = Sensor(Steps(np.zeros((1, 2))), noise=1e-2, quantum=5e-3)
-    current = current_sensor.measure(record.t, record.current, seed=1)
+    none = Steps(np.zeros((1, 2)))
+    current_sensor = Sensor(none, noise=CURRENT_NOISE, quantum=CURRENT_STEP)
+    voltage_sensor = Sensor(none, noise=VOLTAGE_NOISE, quantum=VOLTAGE_STEP)
+    current = current_sensor.measure(record.t, record.current, seed=seed)
     voltage = record.trajectory.voltage
     error_i = current - record.current
-    error_u = voltage_sensor.measure(record.t, voltage, seed=2) - voltage
+    error_u = voltage_sensor.measure(record.t, voltage, seed=seed + 1) - voltage
     mean_i = (error_i + np.roll(error_i, 1, axis=0)) / 2
     v = record.volt_seconds + h * (error_u @ machine.B.T - mean_i @ machine.R.T)
     v[0] = 0.0
@@ -227,7 +255,7 @@ def noisy(record: LevitationRecord, duration: float, memory: float) -> Noisy:
     t = record.t[rows]
     current, v = with_noise(record)
     current, v = current[rows], v[rows]
-    observer = levitation_observer(record.machine, record.h, memory, (1e-3, 1e-2))
+    observer = levitation_observer(record.machine, record.h, memory, (CURRENT_NOISE, VOLTAGE_NOISE))
     estimates = observer.run(current=current, volt_seconds=v)
     late = t >= 2.0
     size = sizes(record)[0]
