@@ -1,4 +1,4 @@
-"""Repair of Proposition 2 without a hypothesis on Ω: both sides (docs/theory.md, section 10)."""
+"""Repair of Proposition 2 without a hypothesis on Ω: both sides (docs/theorems.md, Theorem 5)."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -63,7 +63,16 @@ def test_tables_follow_the_numbers():
 
 def test_deep_sections_follow_the_numbers():
     course = {"before": 0.11, "end": 0.22}
+    run = {"error": 0.008, "claimed": 0.009, "within": 0.96}
     results = {
+        "all_rows": {"S5": {"least_squares": 0.037, "runs": [run, {**run, "error": 0.0095}]}},
+        "at_rest": {
+            "position": 7.3e-7,
+            "flux": 0.0026,
+            "position_std": 7.5e-7,
+            "flux_std": 0.0027,
+            "bound": 7.46e-7,
+        },
         "scalar_gain": {
             "alpha": 6.4e-5,
             "gains": [1.0, 10.0],
@@ -102,6 +111,8 @@ def test_deep_sections_follow_the_numbers():
         },
     }
     text = "\n".join(deep.markdown(results))
+    assert "| S5 | 3.7% | 0.8% … 0.9% | 0.9% … 0.9% | 96.0% … 96.0% |" in text
+    assert "known to 0.73 µm (stated: 0.75 µm; closed form: 0.75 µm)" in text
     assert "The law is unstable at 3 of 4 gains" in text
     assert "at least 1.750" in text
     assert "| as they are | 1.5 | 2.5 |" in text

@@ -79,9 +79,10 @@ def inverse_inductance_by_position(
     )
 
     def along(dq: jax.Array, dflux: jax.Array) -> jax.Array:
-        return jax.jvp(lambda flux, q: inverse_inductance(system, flux, q), (flux, q), (dflux, dq))[
-            1
-        ]
+        def K(flux: jax.Array, q: jax.Array) -> jax.Array:
+            return inverse_inductance(system, flux, q)
+
+        return jnp.asarray(jax.jvp(K, (flux, q), (dflux, dq))[1])
 
     return jnp.asarray(jax.vmap(along, (0, 1), 2)(jnp.eye(system.n_M), moved))
 

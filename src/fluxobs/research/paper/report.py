@@ -254,11 +254,11 @@ def _excitation(scenarios: Mapping[str, Any]) -> list[str]:
     return [
         "## Excitation",
         "The table shows the per-unit ratio of smallest to largest eigenvalue over 2 s and the "
-        "direction that the observability Gramian sees least. The first two columns need no filter: "
-        "the covariance of the relation's gradient n = ∇_λ w, positive if and only if (pe1) holds, "
-        "and the smallest eigenvalue of the Gramian of (n, n t, −1), positive if and only if flux "
-        "and drift are observable. For the levitation, n = (φ₂(g − q), φ₁(g + q)): while the "
-        "common flux is constant, only the force for the acceleration moves n₁ + n₂.",
+        "direction that the observability Gramian sees least. The first two columns need no "
+        "filter. The covariance of the relation's gradient n = ∇_λ w is positive if and only if "
+        "(pe1) holds. The smallest eigenvalue of the Gramian of (n, n t, −1) is positive if and "
+        "only if flux and drift are observable. For the levitation n = (φ₂(g − q), φ₁(g + q)): "
+        "while the common flux is constant, only the force for the acceleration moves n₁ + n₂.",
         table(
             [
                 "scenario",
@@ -325,8 +325,21 @@ def _stability(scenarios: Mapping[str, Any]) -> list[str]:
         "factor; a positive rate is unstable. If the scenario settles to a periodic orbit, the "
         "rate is ln |largest Floquet multiplier| over the period, with all digits converged in the "
         "step. Otherwise, the rate is the largest Lyapunov exponent of the record, ± its change "
-        "when record and step are halved.",
-        table(["scenario", "period", *(f"γ × {factor}" for factor in factors)], rows),
+        "when record and step are halved. The last two columns are closed forms (docs/theorems.md, "
+        "Theorems 3 and 4). At small gains the rate is √γ times the first number. It is positive "
+        "for every machine and every trajectory, because the regressor of the drift lags behind "
+        "that of the flux by the group delay of the filters. At large gains, the second number is "
+        "the sum of all rates but the fastest. If it is positive, so is at least one of them.",
+        table(
+            [
+                "scenario",
+                "period",
+                *(f"γ × {factor}" for factor in factors),
+                "γ → 0: rate/√γ",
+                "γ → ∞: sum of rates",
+            ],
+            rows,
+        ),
     ]
 
 

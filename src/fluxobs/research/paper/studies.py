@@ -75,9 +75,9 @@ def excited(run: LevitationRun) -> Excited:
     """Compute the excitation of a scenario."""
     rows, skip, jump = _nominal(run)
     h, size = run.record.h, sizes(run.record)[1]
-    signals = [signal[skip:jump:5] for signal in (run.record.flux, run.record.true_current)]
+    flux_rows, current_rows = run.record.flux[skip:jump:5], run.record.true_current[skip:jump:5]
     relations = [run.record.constraint]
-    n, _ = relation_gradients(relations, *signals)
+    n, _ = relation_gradients(relations, flux_rows, current_rows)
     constants = Parametrisation(run.record.constraint, "structured", CORNER)
     psi = np.asarray(constants.psi_record(rows))
     thin = slice(None, None, 5)
@@ -91,9 +91,10 @@ def excited(run: LevitationRun) -> Excited:
     weakest = np.abs(scale * vectors[:, 0])
     weakest /= np.linalg.norm(weakest)
     blocks = {"flux": slice(0, 2), "drift": slice(2, 4), "current bias": slice(4, 6)}
+    certificate = certify_observability(relations, flux_rows, current_rows, 5 * h, WINDOW)
     return Excited(
         gradient_excitation(n, 5 * h, WINDOW).ratio,
-        float(certify_observability(relations, *signals, 5 * h, WINDOW).smallest.min()),
+        float(certificate.smallest.min()),
         flux.ratio,
         full.ratio,
         float(max(values[0], 0) / values[-1]),
