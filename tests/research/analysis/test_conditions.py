@@ -14,6 +14,7 @@ from fluxobs.research.analysis import (
     relation_gradients,
 )
 from fluxobs.research.energies.library import LIBRARY
+from fluxobs.research.paper.levitation import MODULATION, SCENARIOS, benchmark, orbit
 from fluxobs.research.regression import Parametrisation
 from fluxobs.research.regression.periodic import periodic_regression
 from support.orbits import random_orbit, smooth
@@ -92,6 +93,26 @@ def test_the_levitation_needs_references_of_flux_and_position():
     force = [smallest(np.ones_like(t), s * position, -1e-3 * s * 81 * position) for s in (1, 0.5)]
     assert force[0] > 1e-7
     assert force[0] / force[1] == pytest.approx(16, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "ratio"), [("S3", 5.8e-6), ("S5", 0.559)])
+def test_position_and_flux_reference_predict_the_excitation_of_the_levitation(name, ratio):
+    """The difference of the fluxes is that of the force for the acceleration."""
+    machine, _ = benchmark()
+    trajectory = orbit(name).trajectory
+    t, q = trajectory.t[:-1], trajectory.position[:-1, 0]
+    flux = trajectory.flux[:-1] / np.array([machine.c_1, machine.c_2])
+    phi = machine.k_1 * SCENARIOS[name].bias_current / machine.g
+    phi = phi * (1 + SCENARIOS[name].depth * np.sin(MODULATION * t))
+    acceleration = np.gradient(np.gradient(q, t), t)
+    mass = machine.J / machine.D**2
+    difference = mass * machine.k_1 * acceleration / (2 * machine.c_1 * phi)
+    predicted = levitation_gradient(phi, q, difference, machine.g)
+    actual, _ = relation_gradients([machine.constraint], flux, trajectory.current[:-1])
+    ratios = [np.divide(*np.linalg.eigvalsh(np.cov(n.T))) for n in (predicted, actual[:, 0])]
+    assert ratios[0] == pytest.approx(ratios[1], rel=0.03)
+    assert ratios[0] == pytest.approx(ratio, rel=0.01)
 
 
 def moving(system, seed, samples=400):

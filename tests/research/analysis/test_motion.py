@@ -1,4 +1,4 @@
-"""Which motions of a rotor with magnets are observable: both sides (docs/theorems.md, Theorem 2)."""
+"""Which motions of a rotor are observable: both sides (docs/theorems.md, Theorem 2)."""
 
 import numpy as np
 import pytest

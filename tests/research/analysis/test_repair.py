@@ -6,6 +6,7 @@ import pytest
 
 from fluxobs.machines import SurfacePMSM
 from fluxobs.research.paper.pmsm import counter_example, motor_signals
+from fluxobs.research.paper.stability import psi_on_orbit
 from fluxobs.research.regression import Parametrisation
 from fluxobs.research.regression.periodic import Orbit, periodic_regression
 
@@ -15,6 +16,11 @@ H = 2 * np.pi / SAMPLES
 
 def regressors(case):
     """Return (Φ_λ, Φ_θ) of a period, (samples, 2) and (samples, constants)."""
+    if case == "S5":
+        psi, _ = psi_on_orbit("S5", 0)
+        units = 1 / np.sqrt(np.mean(psi**2, axis=0))
+        units[2:4] = units[:2]  # the drift moves the flux by one unit per second
+        return psi[:, :2] * units[:2], psi[:, 2:] * units[2:]
     if case == "counter-example":
         orbit = counter_example(SAMPLES)
         constraint, rows = orbit.constraint, orbit.rows
@@ -61,22 +67,23 @@ def excitation_of_omega(flux, constants, h, Gamma, start, U):
     return total
 
 
-@pytest.mark.parametrize("case", ["counter-example", "constant speed"])
+@pytest.mark.parametrize("case", ["counter-example", "constant speed", "S5"])
 @pytest.mark.parametrize("gain", [0.1, 1.0, 10.0])
 def test_observability_makes_omega_persistently_exciting(case, gain):
     flux, constants = regressors(case)
     h = 2 * np.pi / len(flux)
     psi = np.hstack([flux, constants])
     rank = np.linalg.matrix_rank(h * psi.T @ psi, rtol=1e-9)
-    assert rank == (5 if case == "counter-example" else 3)  # (pe2) fails at constant speed
+    # (pe2) fails at constant speed.
+    assert rank == {"counter-example": 5, "constant speed": 3, "S5": 7}[case]
     Gamma = gain * np.array([[1.0, 0.3], [0.3, 0.6]])
-    rng = np.random.default_rng(2)
+    rng, shape = np.random.default_rng(2), (2, constants.shape[1])
     bound = np.linalg.eigvalsh(Gamma)[-1] * (flux**2).sum(axis=1).max() * 2 * np.pi / 2**0.5
     for start in (0, len(flux) // 3):
         alpha = np.linalg.eigvalsh(gramian(flux, constants, h, start))[0]
         assert alpha > 1e-6
         order = np.roll(np.arange(len(flux)), -start)
         assert np.linalg.eigvalsh(h * flux[order].T @ flux[order])[0] >= alpha
-        for U in (np.zeros((2, 3)), rng.standard_normal((2, 3))):
+        for U in (np.zeros(shape), rng.standard_normal(shape)):
             excited = excitation_of_omega(flux, constants, h, Gamma, start, U)
             assert np.linalg.eigvalsh(excited)[0] >= 0.99 * alpha / (1 + bound) ** 2

@@ -7,7 +7,13 @@ import pytest
 
 from fluxobs.research import discover_constraint
 from fluxobs.research.analysis import relation_gradients
-from fluxobs.research.energies.library import LIBRARY, surface_pmsm
+from fluxobs.research.energies.library import (
+    LIBRARY,
+    four_pole_bearing,
+    knospe,
+    surface_pmsm,
+    synchronous_reluctance,
+)
 from fluxobs.research.energies.position import (
     current_by_position,
     inverse_inductance_by_position,
@@ -84,6 +90,16 @@ def test_relations_and_visible_coordinates_share_the_ports(make):
     units = np.linalg.norm(by_current, axis=2, keepdims=True)
     rank = np.linalg.matrix_rank(by_current[0] / units[0], tol=1e-6)
     assert rank == system.n_E - system.n_M
+
+
+@pytest.mark.parametrize("make", [synchronous_reluctance, knospe, four_pole_bearing])
+def test_ripples_of_a_machine_without_magnets_show_the_flux_without_its_parameters(make):
+    """At rest, λᵀΔi = iᵀΔλ, because the inductances are symmetric."""
+    system = make()
+    flux, q = (values[0] for values in system.random_states(np.random.default_rng(8), 1))
+    ripple = 0.03 * flux * jnp.cos(jnp.arange(system.n_E))
+    current, rippled = system.current(flux, q), system.current(flux + ripple, q)
+    assert flux @ (rippled - current) == pytest.approx(float(current @ ripple), rel=1e-9)
 
 
 def test_a_coordinate_without_force_is_invisible():
