@@ -69,6 +69,31 @@ def test_a_window_is_not_excited_by_the_length_of_the_active_flux_alone():
         assert gradient_excitation(seen, h, 0.999).smallest.min() > 1e-4
 
 
+def test_ripples_at_rest_excite_a_salient_machine():
+    """n = 2 e^{jφ}(ψ_a - jΔL i_q): i_d changes its length, i_q turns it."""
+    h, saliency = 1e-3, 0.4
+    t = np.arange(1000) * h
+    ripple = 0.1 * np.sin(300 * t)
+
+    def gradient(i_d, i_q):
+        a = np.exp(0.7j) * (1 + saliency * i_d - 1j * saliency * i_q)
+        # The derivative of |x|² - (ψ + ΔL i·x/|x|)² by λ, x = λ - L_q i.
+        x = (1 + saliency * i_d) * np.exp(0.7j)
+        i = (i_d + 1j * i_q) * np.exp(0.7j)
+
+        def w(x):
+            return np.abs(x) ** 2 - (1 + saliency * (i * x.conj()).real / np.abs(x)) ** 2
+
+        step = 1e-6
+        slopes = [(w(x + d * step) - w(x - d * step)) / (2 * step) for d in (1, 1j)]
+        np.testing.assert_allclose(np.array(slopes), [2 * a.real, 2 * a.imag], atol=1e-7)
+        return np.stack(slopes, axis=1)
+
+    assert gradient_excitation(gradient(ripple, 0 * t + 0.3), h, 0.5).smallest.max() < 1e-12
+    turned = gradient(0.5 * np.sin(211 * t), ripple)
+    assert gradient_excitation(turned, h, 0.5).smallest.min() > 1e-5
+
+
 def levitation_gradient(flux, position, difference=0.0, gap=1.0):
     """Return (φ₂(g - q), φ₁(g + q)) for φ₁, φ₂ = flux ± difference."""
     return np.stack(

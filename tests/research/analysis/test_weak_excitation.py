@@ -5,6 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
+
+from fluxobs.simulation import precision  # noqa: F401  # enables float64
 
 
 def gradient_error(phi, h, b, start):
@@ -44,14 +47,35 @@ def test_a_slowing_rotor_converges_without_a_disturbance_but_not_exponentially()
     assert slope == pytest.approx(-1 / 4, rel=0.02)
 
 
-def test_a_constant_bias_makes_the_error_of_the_slowing_rotor_grow():
-    t, Phi = slowing_rotor(2e4, 0.02)
-    b = np.tile([1e-3, 0.0], (len(t), 1))
-    error = np.linalg.norm(gradient_error(Phi, 0.02, b, [0.0, 0.0]), axis=1)
-    reached = [error[t < end].max() for end in (2e2, 2e3, 2e4)]
-    # Over a turn, which lasts 2π√t, the bias is in the slow direction for a share of the time.
-    assert reached[1] > 2.5 * reached[0]
-    assert reached[2] > 2.5 * reached[1]
+def filtered_rotor(duration, h):
+    """Return (t, Φ_λ) of a rotor φ = (4/3)(1 + t)^(3/4): (p/(p + 1))² of 2e(φ), exact for lines."""
+    t = np.arange(round(duration / h)) * h
+    phi = 4 / 3 * (1 + t) ** 0.75
+    n = 2 * np.stack([np.cos(phi), np.sin(phi)], axis=1)
+    decay = np.exp(-h)
+    mean = -np.expm1(-h) / h  # p/(p + 1) of a line: the high pass of its slope
+    for _ in range(2):
+        n = lfilter([mean, -mean], [1, -decay], n, axis=0)
+    return t, n
+
+
+def test_a_constant_bias_makes_the_error_of_a_slowing_rotor_grow():
+    h = 0.05
+    t, Phi = filtered_rotor(2e5, h)
+    late = t > 20  # without the filters' transient
+    t, Phi = t[late], Phi[late]
+    free = np.linalg.norm(gradient_error(Phi, h, 0 * Phi, [1.0, -1.0]), axis=1)
+    ends = [2e2, 2e3, 2e4, 2e5]
+    reached = [free[t < end][-1] for end in ends]
+    # A power of t: the same factor in every decade.
+    factors = np.divide(reached[1:], reached[:-1])
+    assert factors.max() < 0.8
+    assert np.ptp(factors) < 0.1
+    error = np.linalg.norm(
+        gradient_error(Phi, h, np.tile([1e-3, 0.0], (len(t), 1)), [0.0, 0.0]), axis=1
+    )
+    reached = [error[t < end].max() for end in ends]
+    assert np.divide(reached[1:], reached[:-1]).min() > 7
 
 
 @pytest.mark.parametrize("window", [10.0, 40.0, 160.0])

@@ -50,11 +50,14 @@ def test_tables_follow_the_numbers():
         "attracts": 0.1,
         "before": {"0.01": [0.00013, 1e-9], "1": [0.0082, 1e-9]},
         "after": {"0.01": [0.002, 0.001], "1": [-0.001, 0.005]},
+        "limits": {"before": [17.9, 0.0216], "after": [16.5, -0.0232]},
     }
     results["scenarios"]["S5"]["stability"] = stability
     text = markdown(results)
-    assert "| S5, before the jump | 6.283 s | +0.00013 | +0.0082 |" in text
-    assert "| S5, after the jump | 6.283 s | +0.0020 ± 0.0010 | 0 ± 0.005 |" in text
+    assert "| S5, before the jump | 6.283 s | +0.00013 | +0.0082 | +17.9 | +0.0216 |" in text
+    assert (
+        "| S5, after the jump | 6.283 s | +0.0020 ± 0.0010 | 0 ± 0.005 | +16.5 | -0.0232 |" in text
+    )
     stability["period"] = None
     assert "| S5, before the jump | none |" in markdown(results)
     courses["voltage model"]["end"] = 5e44

@@ -14,6 +14,8 @@ doi:10.1007/978-3-642-05221-7.
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,14 +71,16 @@ def flow_steps(
     start = M.reshape(3, k, 3, k).sum(axis=2)
     pushed = h * np.einsum("ikjl,l->ik", MA, constant)
     # e = r - ψᵀX at the stages.
-    moved = np.stack([psi[:, j] @ MA[:, :, j].reshape(3 * k, k).T for j in range(3)], axis=1)
-    moved = moved.reshape(len(psi), 3, 3, k).swapaxes(1, 2)
-    W = h * (moved @ psi[..., None])[..., 0]
-    right = np.empty((len(psi), 3, k + 1))
-    right[..., :k] = -(psi[:, :, None] @ start)[:, :, 0]
-    right[..., k] = residual - np.einsum("nik,ik->ni", psi, pushed)
-    e = np.linalg.solve(np.eye(3) + W, right)
-    change = h * (moved[:, 2].swapaxes(1, 2) @ e)
+    count = len(psi)
+    W, right = np.empty((count, 3, 3)), np.empty((count, 3, k + 1))
+    last = np.empty((count, k, 3))
+    for j in range(3):
+        moved = (psi[:, j] @ MA[:, :, j].reshape(3 * k, k).T).reshape(count, 3, k)
+        W[:, :, j] = h * np.einsum("nik,nik->ni", moved, psi)
+        last[:, :, j] = h * moved[:, 2]
+        right[:, j, :k] = -psi[:, j] @ start[j]
+        right[:, j, k] = residual[:, j] - psi[:, j] @ pushed[j]
+    change = last @ np.linalg.solve(np.eye(3) + W, right)
     return start[2] + change[..., :k], pushed[2] + change[..., k]
 
 
@@ -89,14 +93,22 @@ def _block(P: jax.Array, g: jax.Array, x: jax.Array) -> jax.Array:
     return jax.lax.scan(body, x, (P, g))[1]
 
 
-def flow_states(P: Array, g: Array, x: Array) -> Array:
-    """Return the states (steps, k) after every step, starting from the state x."""
-    states = np.empty(g.shape)
-    for at in range(0, len(g), _BLOCK):
-        count = min(_BLOCK, len(g) - at)
-        padded = np.zeros((_BLOCK, *P.shape[1:])), np.zeros((_BLOCK, g.shape[1]))
-        padded[0][:count], padded[1][:count] = P[at : at + count], g[at : at + count]
-        states[at : at + count] = np.asarray(_block(*padded, x))[:count]
+def flow_states(
+    N: ArrayLike, psi: Array, h: float, x: Array, r: ArrayLike | None = None, f: Any = None
+) -> Array:
+    """Return the states (steps, k) after every step, from the state x; otherwise as `flow_steps`.
+
+    The steps are computed in blocks that fit into the cache.
+    """
+    states = np.empty((len(psi), len(x)))
+    for at in range(0, len(psi), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        P, g = flow_steps(N, psi[part], h, None if r is None else np.asarray(r)[part], f)
+        count = len(g)
+        if count < _BLOCK:
+            P = np.concatenate([P, np.zeros((_BLOCK - count, *P.shape[1:]))])
+            g = np.concatenate([g, np.zeros((_BLOCK - count, g.shape[1]))])
+        states[part] = np.asarray(_block(P, g, x))[:count]
         x = states[at + count - 1]
     return states
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...core.arrays import Array
-from ..analysis.flow import flow_states, flow_steps
+from ..analysis.flow import flow_states
 from ..analysis.stability import balanced_error_system, record_nodes
 from ..regression import Parametrisation, Regressors
 from ..regression.laws.base import positive_definite
@@ -130,8 +130,8 @@ def _run(N: Array, spans: list[_Span], x: Array, h: float, substeps: int) -> Arr
     pieces = []
     for span in spans:
         nodes = record_nodes(np.column_stack([span.psi, span.r]), substeps)
-        P, g = flow_steps(N, nodes[..., :-1], h / substeps, nodes[..., -1], span.f)
-        states = flow_states(P, g, x + span.jump)[substeps - 1 :: substeps]
+        psi, r, start = nodes[..., :-1], nodes[..., -1], x + span.jump
+        states = flow_states(N, psi, h / substeps, start, r, span.f)[substeps - 1 :: substeps]
         pieces.append(states)
         x = states[-1]
     return np.concatenate(pieces)

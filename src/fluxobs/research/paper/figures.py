@@ -308,4 +308,5 @@ def _write(out: Path, figures: dict[str, Callable[[], Figure]], formats: Sequenc
             figure = make()
             for ending in formats:
                 write(figure, out / f"{name}{ending}")
+                figure.set_layout_engine("none")  # the other formats keep the layout of the first
             plt.close(figure)

@@ -175,11 +175,12 @@ def _settings() -> list[str]:
         table(
             ["scenario", "α, β", "G", "bias current", "modulation of φ*", "start", "period"], rows
         ),
-        f"R_a = {R_A:g}; ν = {CORNER:g} 1/s; duration {DURATION:g} s, jump at {JUMP:g} s. Biases "
+        f"R_a = {R_A:g}; ν = {CORNER:g} 1/s; duration {DURATION:g} s, jump at {JUMP:g} s (in a "
+        f"quick run 30 s and 15 s). Biases "
         f"{biases}. The filters start from zero. Observers use the regression from "
         f"{RUN_IN / CORNER:g} s on (15/ν): until then it contains the filters' transient, which "
-        "decays as e^(-νt) and which the gains multiply; the printed law from t = 0 is in the "
-        f"table too, for the main scenario. Printed gains: Γ = {ROBUST_GAIN:g}, "
+        "decays as e^(-νt) and which the gains multiply; a full run also has the printed law from "
+        f"t = 0, for the main scenario. Printed gains: Γ = {ROBUST_GAIN:g}, "
         f"Γ_a = diag({gains}). Balanced gain: {FLUX_RATE:g} 1/s times the inverse of the mean of "
         f"Φ_λΦ_λᵀ between run-in and jump; the repaired law has the same gain for the flux and "
         f"{CONSTANTS_RATE:g} 1/s for the constants. Least squares: samples of "
@@ -204,7 +205,8 @@ def _claims(results: Mapping[str, Any]) -> str:
         ],
         [
             "the steady error depends on the size of the biases",
-            f"biases halved, unchanged, doubled: {rms['0.5']:.3f}, {rms['1']:.3f}, {rms['2']:.3f}",
+            "biases halved, unchanged, doubled, in the second half before the jump: "
+            f"{rms['0.5']:.3f}, {rms['1']:.3f}, {rms['2']:.3f}",
         ],
         [
             "the error has an explicit bound",
@@ -255,10 +257,11 @@ def _excitation(scenarios: Mapping[str, Any]) -> list[str]:
         "## Excitation",
         "The table shows the per-unit ratio of smallest to largest eigenvalue over 2 s and the "
         "direction that the observability Gramian sees least. The first two columns need no "
-        "filter. The covariance of the relation's gradient n = ∇_λ w is positive if and only if "
-        "(pe1) holds. The smallest eigenvalue of the Gramian of (n, n t, −1) is positive if and "
-        "only if flux and drift are observable. For the levitation n = (φ₂(g − q), φ₁(g + q)): "
-        "while the common flux is constant, only the force for the acceleration moves n₁ + n₂.",
+        "filter. The covariance of the relation's gradient n = ∇_λ w is bounded below over all "
+        "windows if and only if (pe1) holds. The smallest eigenvalue of the Gramian of "
+        "(n, n t, −1) is positive if and only if flux and drift are observable. For the "
+        "levitation n = (φ₂(g − q), φ₁(g + q)): while the common flux is constant, "
+        "only the force for the acceleration moves n₁ + n₂.",
         table(
             [
                 "scenario",
@@ -327,9 +330,10 @@ def _stability(scenarios: Mapping[str, Any]) -> list[str]:
         "step. Otherwise, the rate is the largest Lyapunov exponent of the record, ± its change "
         "when record and step are halved. The last two columns are closed forms (docs/theorems.md, "
         "Theorems 3 and 4). At small gains the rate is √γ times the first number. It is positive "
-        "for every machine and every trajectory, because the regressor of the drift lags behind "
-        "that of the flux by the group delay of the filters. At large gains, the second number is "
-        "the sum of all rates but the fastest. If it is positive, so is at least one of them.",
+        "for every relation and periodic trajectory, because the regressor of the drift lags "
+        "behind that of the flux by the group delay of the filters. At large gains, the second "
+        "number is the sum of all rates but the fastest. If it is positive, so is at least one of "
+        "them.",
         table(
             [
                 "scenario",
@@ -373,7 +377,8 @@ def _parameters(scenarios: Mapping[str, Any]) -> list[str]:
         "The flux is right in every scenario; the constants are right where the trajectory makes "
         "them identifiable. *Known* is the share of samples in the last fifth of the span that "
         "the observer reports as valid: `valid` for flux and drift, `current_bias_valid` for the "
-        "current bias. The std is the median over the last fifth.",
+        "current bias. The std is the median over the last fifth. It assumes sensor noise, which "
+        "these runs do not have.",
         table(["scenario", "constant", "true", "estimate", "std", "known"], rows),
     ]
 
@@ -443,11 +448,13 @@ def markdown(results: Mapping[str, Any], more: Sequence[str] = ()) -> str:
         "the consistent model and measured with the paper's biases, which jump at half time. "
         "Errors are those of the flux vector, divided by its largest length. All observers start "
         "from zero. The paper does not give G of the controller and the initial fluxes; ours are "
-        "in the table below."
+        "in the table below. The claims are tested on S5, not on the paper's own S1: without bias "
+        "flux, the closed loop of S1 is unstable and its excitation decays. S1 is in the other "
+        "sections of a full run."
         + (
             ""
             if len(scenarios) > 1
-            else " This quick run has one scenario of 30 s; the jump is at 15 s."
+            else " This quick run has only S5, of 30 s; the jump is at 15 s."
         ),
         "## Claims",
         _claims(results),
