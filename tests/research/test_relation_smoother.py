@@ -72,6 +72,8 @@ def test_a_linear_relation_gives_the_weighted_least_squares_of_all_rows(seed):
     expected = (covariance @ right).reshape(rows, size)
     std = np.sqrt(np.diag(covariance)).reshape(rows, size)
     states = np.hstack([got.flux, got.drift, got.moving])
+    assert got.slope_uncertainty == 0
+    assert got.valid
     np.testing.assert_allclose(states, expected, rtol=2e-5, atol=5e-6)
     np.testing.assert_allclose(
         np.hstack([got.flux_std, got.drift_std, got.moving_std]), std, rtol=1e-5
@@ -142,6 +144,17 @@ def test_the_levitation_from_all_rows_has_the_error_that_it_states():
     assert 0.6 < mean < 1.4
     assert max(run.error for run in got) < 0.02  # the least squares of this record: 0.04
     assert np.mean([run.within for run in got]) > 0.9
+    assert all(run.valid for run in got)
+
+
+@pytest.mark.slow
+def test_the_levitation_without_bias_flux_is_not_sure_and_wrong():
+    """In S1 the slope along the weak direction of the flux is as uncertain as it is large."""
+    base = record(SCENARIOS["S1"], quick=True)
+    for duration, seed in ((2.0, 21), (10.0, 1)):
+        got = smoothing.smoothed(base, duration, seed)
+        assert not got.valid
+        assert got.slope_uncertainty > 0.65
 
 
 def test_the_integrated_flux_keeps_the_median_of_the_estimates():

@@ -66,7 +66,13 @@ def test_tables_follow_the_numbers():
 
 def test_deep_sections_follow_the_numbers():
     course = {"before": 0.11, "end": 0.22}
-    run = {"error": 0.008, "claimed": 0.009, "within": 0.96}
+    run = {
+        "error": 0.008,
+        "claimed": 0.009,
+        "within": 0.96,
+        "slope_uncertainty": 0.5,
+        "valid": True,
+    }
     results = {
         "all_rows": {"S5": {"least_squares": 0.037, "runs": [run, {**run, "error": 0.0095}]}},
         "at_rest": {
@@ -114,7 +120,7 @@ def test_deep_sections_follow_the_numbers():
         },
     }
     text = "\n".join(deep.markdown(results))
-    assert "| S5 | 3.7% | 0.8% … 0.9% | 0.9% … 0.9% | 96.0% … 96.0% |" in text
+    assert "| S5 | 3.7% | 0.8% … 0.9% | 0.9% … 0.9% | 96.0% … 96.0% | 0.5 | yes |" in text
     assert "known to 0.73 µm (stated: 0.75 µm; closed form: 0.75 µm)" in text
     assert "The law is unstable at 3 of 4 gains" in text
     assert "at least 1.750" in text

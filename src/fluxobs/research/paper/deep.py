@@ -78,6 +78,8 @@ def _all_rows(scenarios: Mapping[str, Any], rest: Mapping[str, float]) -> list[s
             name,
             f"{result['least_squares']:.1%}",
             *(span([run[key] for run in result["runs"]]) for key in ("error", "claimed", "within")),
+            f"{max(run['slope_uncertainty'] for run in result['runs']):.2g}",
+            "yes" if all(run["valid"] for run in result["runs"]) else "no",
         ]
         for name, result in scenarios.items()
     ]
@@ -85,10 +87,10 @@ def _all_rows(scenarios: Mapping[str, Any], rest: Mapping[str, float]) -> list[s
         "## Every row from all rows, and at rest",
         f"The first {DURATION:g} s with white noise of {1e3 * CURRENT_NOISE:g} mA and "
         f"{1e3 * VOLTAGE_NOISE:g} mV at 1 kHz, {len(SEEDS)} times. The smoother (docs/theorems.md, "
-        "Theorem 8) estimates flux, drift and current offsets of every row from all rows. Where "
-        "two standard deviations hold on clearly less than 95 %, the covariance of the linearised "
-        "problem does not describe the error: in S1 the slope of the relation along the weak "
-        "direction is hardly larger than its uncertainty.",
+        "Theorem 8) estimates flux, drift and current offsets of every row from all rows. The last "
+        "column compares the uncertainty of the relation's slope along the weak direction of the "
+        "flux with this slope (mean squares). Where it is large, the covariance of the linearised "
+        "problem does not describe the error, and the smoother says that it is not valid.",
         table(
             [
                 "scenario",
@@ -96,6 +98,8 @@ def _all_rows(scenarios: Mapping[str, Any], rest: Mapping[str, float]) -> list[s
                 "smoother, rms error",
                 "stated",
                 "components within two standard deviations",
+                "uncertainty of the slope",
+                "valid",
             ],
             rows,
         ),

@@ -36,11 +36,17 @@ class Smoothed:
         Rms flux error of all rows: true, and stated.
     within : float
         Share of flux components within two standard deviations.
+    slope_uncertainty : float
+        Of the smoother's result.
+    valid : bool
+        Whether the smoother says that its standard deviations hold.
     """
 
     error: float
     claimed: float
     within: float
+    slope_uncertainty: float
+    valid: bool
 
 
 def levitation_relation(machine: MagLev2DOF, flux_size: float) -> RelationObserver:
@@ -88,6 +94,8 @@ def smoothed(record: LevitationRecord, duration: float, seed: int = 1) -> Smooth
         _rms(error) / size,
         _rms(result.flux_std) / size,
         float(np.mean(np.abs(error) < 2 * result.flux_std)),
+        result.slope_uncertainty,
+        result.valid,
     )
 
 
