@@ -13,7 +13,9 @@ from support.expected import check
 from support.records import COURSE_TIME as H
 from support.records import CURRENTS, driven, profile
 
-NAMES = ("servo-400w", "ipm-2kw2", "synrm-6kw7", "ipm-5kw6", "induction-2kw2")
+#: Not ipm-5kw6: on its record, a relative change of 1e-15 of the samples changes the number of
+#: outliers from 1 to 26, and with it everything that follows. No number of it is reproducible.
+NAMES = ("servo-400w", "ipm-2kw2", "synrm-6kw7", "induction-2kw2")
 ALL = ("drift", "resistance", "inverter", "asymmetry")
 #: (time [s], share of the speed or of the current).
 SPEED = (
