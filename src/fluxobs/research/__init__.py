@@ -23,7 +23,7 @@ from .energies.system import (
     linear_magnetics,
 )
 from .relation_observer import RelationEstimate, RelationObserver
-from .relation_smoother import integrated_flux, smooth_record
+from .relation_smoother import SmoothedRecord, integrated_flux, smooth_record
 
 __all__ = [
     "BlondelPark",
@@ -35,6 +35,7 @@ __all__ = [
     "Power",
     "RelationEstimate",
     "RelationObserver",
+    "SmoothedRecord",
     "State",
     "Trajectory",
     "blondel_park",

@@ -240,17 +240,14 @@ class RelationObserver(eqx.Module):
         """Process the currents of a record and the volt-seconds before each row, both (rows, n)."""
         v, i = records(self, volt_seconds, current)
         x, P, innovation = (np.asarray(values) for values in _run(self, v, i))
-        std = np.sqrt(np.maximum(P, 0.0))
-        n = self.n
-        return RelationEstimate(
-            x[:, :n],
-            std[:, :n],
-            x[:, n : 2 * n],
-            std[:, n : 2 * n],
-            x[:, 2 * n :],
-            std[:, 2 * n :],
-            innovation,
-        )
+        return RelationEstimate(*columns(x, np.sqrt(np.maximum(P, 0.0)), self.n), innovation)
+
+
+def columns(x: Array, std: Array, n: int) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Return flux, drift and η, each with its standard deviation, of states (rows, 2n + e)."""
+    parts = (slice(0, n), slice(n, 2 * n), slice(2 * n, None))
+    flux, drift, moving = ((x[:, part], std[:, part]) for part in parts)
+    return *flux, *drift, *moving
 
 
 def records(

@@ -29,7 +29,7 @@ import numpy as np
 from ..core.arrays import Array
 from ..errors import ModelError, RecordError
 from ..simulation.precision import real
-from .relation_observer import RelationObserver, records
+from .relation_observer import RelationObserver, columns, records
 
 #: Largest number of Gauss-Newton steps; change, in standard deviations, below which they end. With
 #: little excitation, a step reduces the remaining change by a fifth only.
@@ -127,8 +127,8 @@ def smooth_record(
     window : int
         Odd number of rows over which the slopes of the relation average the current. The noise of
         the current in the slopes looks like excitation; where its share matters, choose the window
-        as long as the current is smooth. The estimate remains unbiased (instrumental variables),
-        and the standard deviation no longer counts the noise.
+        as long as the current is smooth. The slopes are then instrumental variables: bias and
+        share of the noise fall with the inverse of the window's length.
 
     Returns
     -------
@@ -166,17 +166,8 @@ def smooth_record(
             f"the smoother did not converge in {STEPS} steps (last change: {change:.2g} standard "
             "deviations): the record may not determine the flux, or start and priors are far off"
         )
-    x, std, n = np.asarray(trajectory), np.asarray(deviation), observer.n
-    return SmoothedRecord(
-        x[:, :n],
-        std[:, :n],
-        x[:, n : 2 * n],
-        std[:, n : 2 * n],
-        x[:, 2 * n :],
-        std[:, 2 * n :],
-        np.asarray(residual),
-        float(slope_uncertainty),
-    )
+    states = columns(np.asarray(trajectory), np.asarray(deviation), observer.n)
+    return SmoothedRecord(*states, np.asarray(residual), float(slope_uncertainty))
 
 
 @eqx.filter_jit

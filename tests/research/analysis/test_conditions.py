@@ -18,6 +18,7 @@ from fluxobs.research.paper.levitation import MODULATION, SCENARIOS, benchmark, 
 from fluxobs.research.regression import Parametrisation
 from fluxobs.research.regression.periodic import periodic_regression
 from support.orbits import random_orbit, smooth
+from support.relations import WITHOUT_RELATION
 
 SAMPLES = 512
 
@@ -152,13 +153,9 @@ def moving(system, seed, samples=400):
     return flux, np.asarray(jax.vmap(system.current)(flux, position))
 
 
-#: Machines without a quadratic relation; a test of the discovery has their list, too.
-WITHOUT = ("interior_pmsm", "maglev_1dof", "switched_reluctance", "saturated_switched_reluctance")
-
-
 @pytest.mark.parametrize(
     "make",
-    [make for make in LIBRARY if make.__name__ not in WITHOUT],
+    [make for make in LIBRARY if make.__name__ not in WITHOUT_RELATION],
     ids=lambda make: make.__name__,
 )
 def test_the_certificate_sees_what_the_discovered_relations_see(make):

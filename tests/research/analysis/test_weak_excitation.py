@@ -1,4 +1,4 @@
-"""What weaker excitation than (pe1) is worth: both sides of Theorem 6 (docs/theorems.md)."""
+"""Excitation weaker than (pe1): both sides of Theorem 6 (docs/theorems.md)."""
 
 import jax
 import jax.numpy as jnp

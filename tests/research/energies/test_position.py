@@ -21,6 +21,7 @@ from fluxobs.research.energies.position import (
     velocity_from_flux,
 )
 from fluxobs.research.energies.system import ElectromechanicalSystem, inertia, linear_magnetics
+from support.relations import WITHOUT_RELATION
 
 #: Machine → coordinates seen at rest, positions with one flux and current. A pole pair more is a
 #: position more; without magnets and field, also half an electrical turn is.
@@ -67,13 +68,10 @@ def test_the_flux_acts_on_the_coordinates_that_the_current_shows(make):
         np.testing.assert_allclose(got, speed, rtol=1e-6)
 
 
-WITHOUT = ("interior_pmsm", "maglev_1dof", "switched_reluctance", "saturated_switched_reluctance")
-
-
 @pytest.mark.parametrize(
     "make",
-    [make for make in LIBRARY if make.__name__ not in WITHOUT],
-    ids=[name for name in NAMES if name not in WITHOUT],
+    [make for make in LIBRARY if make.__name__ not in WITHOUT_RELATION],
+    ids=[name for name in NAMES if name not in WITHOUT_RELATION],
 )
 def test_relations_and_visible_coordinates_share_the_ports(make):
     """∇_i w is orthogonal to ∂i/∂q: independent relations + visible coordinates ≤ ports."""

@@ -112,7 +112,7 @@ class AtRest:
     position, flux : float
         Rms errors of position [m] and flux (relative).
     position_std, flux_std : float
-        Standard deviations that the smoother states, likewise.
+        Their standard deviations according to the smoother.
     bound : float
         Closed form σ_q = σ_i/√Σ|K'Δλ|² [m].
     """
