@@ -19,6 +19,8 @@ enum { ITERATIONS = 16, FLUX_FIRST = 3, POLISHING = 2 };
 /* A worse step is repeated with this share of its length, until it is shorter than the least. */
 #define SHORTER 0.3
 #define SHORTEST 0.02
+/* Two steps reverse if the cosine between them is below this. */
+#define REVERSED (-0.5)
 /* Rise of the cost, per block and in all, that counts as worse. */
 #define WORSE_PER_BLOCK 0.02
 #define WORSE 5.0
@@ -396,7 +398,8 @@ typedef struct {
     bool set;
 } accepted;
 
-static void retreat(fo_work *w, double p[FO_P], const accepted *a)
+/* Moves to a share of the step from the last accepted iteration. */
+static void move_to(fo_work *w, double p[FO_P], const accepted *a)
 {
     memcpy(p, a->p, FO_P * sizeof *p);
     for (size_t j = 0; j < w->columns; j++) p[w->active[j]] += a->share * a->step[j];
@@ -406,6 +409,23 @@ static void retreat(fo_work *w, double p[FO_P], const accepted *a)
     }
     memcpy(w->angle, a->angle, w->record.rows * sizeof *w->angle);
     memcpy(w->speed, a->speed, w->record.rows * sizeof *w->speed);
+}
+
+/* Share of the next step. Where steps reverse, the iteration goes to and fro between two points;
+ * Aitken's relaxation for vector sequences finds the point between them (Irons and Tuck, 1969,
+ * doi:10.1002/nme.1620010306). Steps are measured in standard deviations. */
+static double relaxation(const fo_work *w, const accepted *a, const double *step,
+                         const double *covariance)
+{
+    double last = 0.0, next = 0.0, product = 0.0;
+    for (size_t i = 0; i < w->columns; i++) {
+        const double weight = 1.0 / covariance[i * w->columns + i];
+        last += weight * a->step[i] * a->step[i];
+        next += weight * step[i] * step[i];
+        product += weight * a->step[i] * step[i];
+    }
+    if (!(product < REVERSED * sqrt(last * next))) return 1.0;
+    return a->share * (last - product) / (last - 2.0 * product + next);
 }
 
 static double usual_speed(const fo_work *w)
@@ -420,6 +440,7 @@ static bool iterate(fo_work *w, fo_assumed *out, fo_smoothed *s, normal *n, acce
     const size_t blocks = w->blocks, rows = w->record.rows;
     const double worse = fmax(WORSE, WORSE_PER_BLOCK * (double)blocks);
     const double *covariance = NULL;
+    double step[FO_P];
     out->settled = false;
     for (int it = 0; it < ITERATIONS; it++) {
         fo_linearise(w, out->p, NULL);
@@ -429,17 +450,19 @@ static bool iterate(fo_work *w, fo_assumed *out, fo_smoothed *s, normal *n, acce
         if (it >= FLUX_FIRST && a->set && n->cost > a->cost + worse) {
             a->share *= SHORTER;
             if (a->share < SHORTEST) a->share = 0.0;
-            retreat(w, out->p, a);
+            move_to(w, out->p, a);
             if (a->share == 0.0) break;
             continue;
         }
         const double scale = fmax(1.0, n->chi);
         posterior(w, n, scale, out->covariance, factor);
-        double moved = step_of(w, out->p, n, scale, out->covariance, a->step);
+        double moved = step_of(w, out->p, n, scale, out->covariance, step);
         if (it + 1 < FLUX_FIRST) {
-            memset(a->step, 0, w->columns * sizeof *a->step);
+            memset(step, 0, w->columns * sizeof *step);
             moved = INFINITY;
         }
+        a->share = a->set ? relaxation(w, a, step, out->covariance) : 1.0;
+        memcpy(a->step, step, w->columns * sizeof *a->step);
         memcpy(a->p, out->p, sizeof a->p);
         memcpy(a->from, w->correction, blocks * sizeof *a->from);
         memcpy(a->psi_from, w->psi, blocks * sizeof *a->psi_from);
@@ -447,13 +470,10 @@ static bool iterate(fo_work *w, fo_assumed *out, fo_smoothed *s, normal *n, acce
         memcpy(a->speed, w->speed, rows * sizeof *a->speed);
         move_reference(w, s, a->step, a->to, a->psi_to);
         a->cost = n->cost;
-        a->share = 1.0;
         a->set = true;
         out->cost = n->cost;
         out->noise = n->noise;
-        for (size_t j = 0; j < w->columns; j++) out->p[w->active[j]] += a->step[j];
-        memcpy(w->correction, a->to, blocks * sizeof *a->to);
-        memcpy(w->psi, a->psi_to, blocks * sizeof *a->psi_to);
+        move_to(w, out->p, a);
         if (it >= FLUX_FIRST && moved < SETTLED) {
             out->settled = true;
             break;
