@@ -1,14 +1,16 @@
 """The lag that nobody states: hypotheses, weighed by the log; priors of the rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import fluxobs
 from fluxobs.errors import FluxobsError
-from fluxobs.estimation import whole_log
+from fluxobs.estimation import starts, whole_log
 from fluxobs.estimation.hypotheses import mixed, weights_of
 from fluxobs.machines.model.frames import wrap
-from fluxobs.smoothing.record import OUTPUTS, QUANTITIES, SHARES, Cost, SmoothedRecord
+from fluxobs.smoothing.record import OUTPUTS, QUANTITIES, SHARES, Cost, SmoothedRecord, learn_record
 from support.records import SERVO, driven, log_columns, steady
 
 
@@ -192,3 +194,32 @@ def test_the_island_between_unknown_rows_is_not_valid():
     assert not valid[1000:1300].any()
     wider = np.where(std > 0.1, np.radians(5.0), std)  # not valid, but not lost
     assert trusted(angle, wider, np.zeros(rows, bool))[1100:1200].all()
+
+
+def test_every_lag_of_the_demo_settles_at_its_first_start(monkeypatch):
+    """Without relaxation, the steps of three of the four lags go to and fro."""
+    settled = []
+
+    def recording(*given):
+        record = learn_record(*given)
+        settled.append(record.settled)
+        return record
+
+    monkeypatch.setattr(starts, "learn_record", recording)
+    fluxobs.estimate(fluxobs.demo_log(), "servo-400w")
+    assert settled == [True] * 4
+
+
+def test_of_two_starts_that_fit_the_one_that_settled_counts():
+    """A record that did not settle may be wrong with a smaller standard deviation."""
+
+    def with_std(std, settled):
+        outputs = {"theta_e_std": np.full(12, np.radians(std))}
+        return replace(record(1, 0.2), outputs=outputs, settled=settled)
+
+    settled, wrong = with_std(1.93, True), with_std(1.72, False)
+    assert starts.clearly_better(settled, wrong)
+    assert not starts.clearly_better(wrong, settled)
+    assert not starts.clearly_better(with_std(3.0, True), wrong)
+    assert starts.clearly_better(with_std(1.5, False), wrong)
+    assert not starts.clearly_better(with_std(1.715, False), wrong)
