@@ -19,7 +19,7 @@ enum { ITERATIONS = 16, FLUX_FIRST = 3, POLISHING = 2 };
 /* A worse step is repeated with this share of its length, until it is shorter than the least. */
 #define SHORTER 0.3
 #define SHORTEST 0.02
-/* Two steps reverse if the cosine between them is below this. */
+/* Steps reverse if the cosine between them is below this. */
 #define REVERSED (-0.5)
 /* Rise of the cost, per block and in all, that counts as worse. */
 #define WORSE_PER_BLOCK 0.02
@@ -411,9 +411,9 @@ static void move_to(fo_work *w, double p[FO_P], const accepted *a)
     memcpy(w->speed, a->speed, w->record.rows * sizeof *w->speed);
 }
 
-/* Share of the next step. Where steps reverse, the iteration goes to and fro between two points;
- * Aitken's relaxation for vector sequences finds the point between them (Irons and Tuck, 1969,
- * doi:10.1002/nme.1620010306). Steps are measured in standard deviations. */
+/* Share of the next step. If steps reverse, the iteration alternates between two points: Aitken's
+ * relaxation for vector sequences finds the point between them (Irons and Tuck, 1969,
+ * doi:10.1002/nme.1620010306). Components are in standard deviations. */
 static double relaxation(const fo_work *w, const accepted *a, const double *step,
                          const double *covariance)
 {

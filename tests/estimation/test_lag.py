@@ -197,7 +197,7 @@ def test_the_island_between_unknown_rows_is_not_valid():
 
 
 def test_every_lag_of_the_demo_settles_at_its_first_start(monkeypatch):
-    """Without relaxation, the steps of three of the four lags go to and fro."""
+    """Without relaxation, the steps of three of the four lags alternate."""
     settled = []
 
     def recording(*given):

@@ -19,20 +19,21 @@
 #include <sys/time.h>
 #include <time.h>
 
-/* WAITING: at most so many samples between two calls of the learner, however busy the computer is. */
-enum { MOST = 200000, WAITING = 50 };
+enum { MOST = 200000 };
+/* Most samples between two calls of the learner: a busy computer may hold up its task. */
+enum { WAITING = 50 };
 
 static double samples[MOST][4], results[MOST][3];
 static int count;
 static volatile int done;
 static int next;
 static fo_adaptive_state state;
-/* Calls of the learner, and the sample at which the interrupt saw the last one. Relaxed accesses: they
- * order nothing, so that the thread sanitizer still sees every race. */
+/* Calls of the learner, and the sample at which the interrupt saw the last one. The accesses are
+ * relaxed: they order nothing, so the thread sanitizer still sees every race. */
 static unsigned calls, calls_seen;
 static int seen_at;
 
-/* Whether the learner keeps up: else the next sample comes later. */
+/* Whether the learner keeps up; if not, the interrupt waits with the next sample. */
 static int keeps_up(void)
 {
     const unsigned now = __atomic_load_n(&calls, __ATOMIC_RELAXED);
@@ -67,7 +68,7 @@ static void interrupt(void)
     }
 }
 
-/* The timer starts again after each interrupt, so that the learner always runs between two of them. */
+/* The timer starts again after each interrupt, so the learner always runs in between. */
 static void arm(void)
 {
     const struct itimerval after = {{0, 0}, {0, 15}};

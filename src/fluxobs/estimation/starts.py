@@ -57,7 +57,7 @@ CLEAR = 0.01
 WITHOUT_DIRECTION = 500.0
 #: With this multiple of the standard deviation of the best hypothesis, another has not converged;
 #: with less, a record that settled is better than one that did not. On a drive of
-#: benchmarks/whole_log.py --drives 3 --seed 7 these had σ 1.93° and 1.88°; the second was wrong.
+#: benchmarks/whole_log.py --drives 3 --seed 7 σ was 1.93° and 1.88°, and the second was wrong.
 LARGER_STD = 1.5
 
 
@@ -301,8 +301,8 @@ def learn_from(start: Start, model: SmoothingModel) -> SmoothedRecord:
 def clearly_better(new: SmoothedRecord, old: SmoothedRecord) -> bool:
     """Whether a record fits and the other does not, or it is more than a little better.
 
-    Of two that fit, the one that settled is better unless its standard deviation is much larger:
-    one that did not settle may state a smaller one, and be wrong.
+    Of two records that fit, the one that settled is better unless its standard deviation is much
+    larger. A record that did not settle may have a smaller standard deviation and be wrong.
     """
     (new_misfits, new_size), (old_misfits, old_size) = rank(new), rank(old)
     if new_misfits != old_misfits:
