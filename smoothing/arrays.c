@@ -57,6 +57,7 @@ int fo_estimate_arrays(const fo_arrays *in, double *p, double *covariance, doubl
     about[FO_ABOUT_SCALE] = learnt->filter_scale;
     about[FO_ABOUT_SETTLED] = learnt->settled ? 1.0 : 0.0;
     about[FO_ABOUT_NOISE] = learnt->noise;
+    about[FO_ABOUT_LEFT_OUT] = learnt->left_out ? 1.0 : 0.0;
     free(learnt);
     return good;
 }

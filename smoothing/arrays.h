@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /* Numbers about what was learnt. */
-enum { FO_ABOUT_MISFIT, FO_ABOUT_CORRELATION, FO_ABOUT_COST, FO_ABOUT_SCALE, FO_ABOUT_SETTLED, FO_ABOUT_NOISE, FO_ABOUT };
+enum { FO_ABOUT_MISFIT, FO_ABOUT_CORRELATION, FO_ABOUT_COST, FO_ABOUT_SCALE, FO_ABOUT_SETTLED, FO_ABOUT_NOISE, FO_ABOUT_LEFT_OUT, FO_ABOUT };
 
 /* Names, separated by spaces: of the assumptions, the fields of fo_model and of fo_map, and the
  * outputs of a row. */

@@ -516,7 +516,7 @@ bool fo_learn(fo_work *w, bool learning, fo_assumed *out, fo_smoothed *s)
     double *long_room = malloc(2 * rows * sizeof *long_room);
     vec *pairs = malloc(2 * blocks * sizeof *pairs);
     double *psis = malloc(2 * blocks * sizeof *psis);
-    bool left_out = false;
+    out->left_out = false;
     bool good = small != NULL && long_room != NULL && pairs != NULL && psis != NULL;
     if (good) {
         normal n = {small, small + P * P, {0.0}, 0.0, 0.0, 0.0, 0.0};
@@ -538,10 +538,9 @@ bool fo_learn(fo_work *w, bool learning, fo_assumed *out, fo_smoothed *s)
                 move_reference(w, s, NULL, w->correction, w->psi);
             }
             const size_t added = round == DOUBTFUL_ROUNDS ? 0 : mark_doubtful(w, s, psis);
-            left_out = left_out || added > 0;
+            out->left_out = out->left_out || added > 0;
             if (added == 0) break;
         }
-        out->settled = out->settled && !left_out;
         if (good) {
             good = normal_equations(w, out->p, s, usual_speed(w), &n);
             out->chi = n.chi;

@@ -13,7 +13,8 @@ typedef struct {
     double cost;         /* less that of the noise; a block left out costs as one that just fits */
     double noise;        /* what the noise of the currents would cost */
     double filter_scale; /* factor on the smoother's covariance: the innovations are coloured */
-    bool settled; /* learning converged, and no block was left out */
+    bool settled;  /* the steps of learning became small */
+    bool left_out; /* blocks did not fit and were left out */
 } fo_assumed;
 
 typedef struct {

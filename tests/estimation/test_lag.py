@@ -8,9 +8,19 @@ import pytest
 import fluxobs
 from fluxobs.errors import FluxobsError
 from fluxobs.estimation import starts, whole_log
+from fluxobs.estimation.anchors import usual_speed
 from fluxobs.estimation.hypotheses import mixed, weights_of
 from fluxobs.machines.model.frames import wrap
-from fluxobs.smoothing.record import OUTPUTS, QUANTITIES, SHARES, Cost, SmoothedRecord, learn_record
+from fluxobs.smoothing import record as smoothing_record
+from fluxobs.smoothing.record import (
+    OUTPUTS,
+    QUANTITIES,
+    SHARES,
+    Cost,
+    SmoothedRecord,
+    learn_record,
+    smooth_record,
+)
 from support.records import SERVO, driven, log_columns, steady
 
 
@@ -48,11 +58,16 @@ def test_a_log_with_load_steps_determines_the_lag(samples, lag, columns):
     assert np.degrees(np.abs(difference).max()) < 2  # the first pass had another lag
 
 
-def test_a_long_log_determines_the_lag_from_segments(samples, monkeypatch):
+def shorten_windows(monkeypatch):
+    """Make a log of 20,000 rows a long one: two windows, parameters learnt from two segments."""
     monkeypatch.setattr(whole_log, "WINDOW_ROWS", 8_192)
     monkeypatch.setattr(whole_log, "OVERLAP_ROWS", 2_048)
     monkeypatch.setattr(whole_log, "SEGMENTS", 2)
     monkeypatch.setattr(whole_log, "SEGMENT_ROWS", 10_000)
+
+
+def test_a_long_log_determines_the_lag_from_segments(samples, monkeypatch):
+    shorten_windows(monkeypatch)
     result = fluxobs.estimate(late(log_columns(samples)), SERVO)
     assert result.lag.lag == -1
     error = np.abs(wrap(result["theta_e"] - samples.theta))
@@ -85,7 +100,16 @@ def record(seed, offset):
     shares = rng.random((blocks, len(QUANTITIES), len(SHARES)))
     model = type("Model", (), {"rows_per_block": 4})()
     return SmoothedRecord(
-        model, None, 0.01, Cost(0.0, 0.0, 0.0), True, outputs, np.ones(rows, bool), None, shares
+        model,
+        None,
+        0.01,
+        Cost(0.0, 0.0, 0.0),
+        True,
+        False,
+        outputs,
+        np.ones(rows, bool),
+        None,
+        shares,
     )
 
 
@@ -202,7 +226,7 @@ def test_every_lag_of_the_demo_settles_at_its_first_start(monkeypatch):
 
     def recording(*given):
         record = learn_record(*given)
-        settled.append(record.settled)
+        settled.append(record.converged)
         return record
 
     monkeypatch.setattr(starts, "learn_record", recording)
@@ -223,3 +247,31 @@ def test_of_two_starts_that_fit_the_one_that_settled_counts():
     assert not starts.clearly_better(with_std(3.0, True), wrong)
     assert starts.clearly_better(with_std(1.5, False), wrong)
     assert not starts.clearly_better(with_std(1.715, False), wrong)
+    assert starts.clearly_better(replace(settled, left_out=True), wrong)
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_an_observer_that_turns_too_fast_does_not_shorten_the_blocks(samples, monkeypatch, long):
+    """A reluctance machine's estimate was sure and wrong with blocks of a row instead of 16."""
+    if long:
+        shorten_windows(monkeypatch)
+    columns = log_columns(samples)
+    expected = fluxobs.estimate(columns, SERVO, lag=0)
+    used = []
+
+    def recording(model, *given, **options):
+        used.append(model.rows_per_block)
+        return smooth_record(model, *given, **options)
+
+    def too_fast(*given):
+        return 30 * usual_speed(*given)
+
+    monkeypatch.setattr(whole_log, "usual_speed", too_fast)
+    monkeypatch.setattr(whole_log, "smooth_record", recording)
+    monkeypatch.setattr(smoothing_record, "smooth_record", recording)
+    result = fluxobs.estimate(columns, SERVO, lag=0)
+    assert used[0] == 1
+    assert used[-1] > 1
+    difference = wrap(result["theta_e"] - expected["theta_e"])
+    assert np.degrees(np.abs(difference)).max() < 0.5
+    assert (result["valid"] == expected["valid"]).mean() > 0.999

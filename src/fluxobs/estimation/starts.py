@@ -43,9 +43,9 @@ from .hypotheses import Hypothesis, with_inductance
 #: Parts of a record that are learnt alone if the whole does not fit, and the largest share of rows
 #: that may not fit then.
 PARTS, MOST_EVENTS = 4, 0.2
-#: A record converged if learning settled and the angle is sure on this share of its rows: a log may
-#: be slow most of the time. A record that did not settle may fit, with small standard deviations,
-#: and be wrong (two of 93 drives of benchmarks/whole_log.py --drives 3 --seed 7).
+#: No other start is tried if a record converged and the angle is sure on this share of its rows: a
+#: log may be slow most of the time. A record that did not settle may fit, with small standard
+#: deviations, and be wrong (two of 93 drives of benchmarks/whole_log.py --drives 3 --seed 7).
 SURE = 0.2
 #: After this number of rounds, the start without the bridge was tried. It comes first or second
 #: after the log as it is.
@@ -59,6 +59,9 @@ WITHOUT_DIRECTION = 500.0
 #: with less, a record that settled is better than one that did not. On a drive of
 #: benchmarks/whole_log.py --drives 3 --seed 7 σ was 1.93° and 1.88°, and the second was wrong.
 LARGER_STD = 1.5
+#: A record is learnt again if its own speed asks for blocks that are longer or shorter by this
+#: factor.
+OTHER_BLOCKS = 2
 
 
 class Start(NamedTuple):
@@ -119,7 +122,9 @@ class Starts:
 
         def learn_next(n: int) -> SmoothedRecord | None:
             start = next(starts[n], None)
-            return None if start is None else learn_from(start, model)
+            if start is None:
+                return None
+            return self._learn_from(start, model, moved[n])
 
         numbers = range(len(hypotheses))
         records = [record for record in in_parallel(learn_next, numbers) if record is not None]
@@ -141,7 +146,7 @@ class Starts:
             return False
         sure = float((best.outputs["theta_e_std"] < VALID_STD).mean())
         tried_without_bridge = rounds >= WITHOUT_BRIDGE or not doubts_bridge(best)
-        return best.settled and sure > SURE and tried_without_bridge
+        return best.converged and sure > SURE and tried_without_bridge
 
     def _learn_from_best(
         self,
@@ -160,12 +165,40 @@ class Starts:
             hypothesis, record = pair
             fits = record.misfit < SUSPICIOUS_MISFIT and typical_std(record) < usual
             same = record.model.rows_per_block == best.model.rows_per_block
-            if record is best or (fits and same and record.settled):
+            if record is best or (fits and same and record.converged):
                 return record
             other = self.learn_from_record(model, best, rows, hypothesis)
             return record if other is None else cheaper(record, other)
 
         return list(in_parallel(again, zip(hypotheses, records, strict=True)))
+
+    def _learn_from(self, start: Start, model: SmoothingModel, rows: Anchored) -> SmoothedRecord:
+        """Smooth and learn; without the direction of injected rows at a cost."""
+        record = learn_record(start.model, start.samples, start.assumed)
+        record = self._with_own_speed(record, rows)
+        if start.model.numbers["injection"] == model.numbers["injection"]:
+            return record
+        cost = replace(record.cost, prior=record.cost.prior + WITHOUT_DIRECTION)
+        return replace(record, cost=cost)
+
+    def _with_own_speed(self, record: SmoothedRecord, rows: Anchored) -> SmoothedRecord:
+        """Learn once more if the blocks do not suit the speed of the record's own estimate.
+
+        An observer that lost the rotor turns too fast. Blocks of a row instead of 16 fit, with
+        small standard deviations, and the estimate is wrong.
+        """
+        anchors = sure_rows(record)
+        if not record.misfit < SUSPICIOUS_MISFIT or anchors.sum() < LEAST_ANCHORS:
+            return record
+        outputs = record.outputs
+        own = Anchored(rows.samples, outputs["theta_e"], outputs["theta_e_std"], anchors)
+        speed = usual_speed(own, anchors, self.run.log.sample_time)
+        model = record.model.with_numbers(speed=speed)
+        length, used = model.rows_per_block, record.model.rows_per_block
+        if max(length, used) < OTHER_BLOCKS * min(length, used):
+            return record
+        again = learn_record(model, self.samples(own, anchors), record.assumed)
+        return again if again.misfit < SUSPICIOUS_MISFIT else record
 
     def learn_from_record(
         self,
@@ -176,7 +209,7 @@ class Starts:
     ) -> SmoothedRecord | None:
         """Learn from the angles and parameters of another hypothesis; None without angles."""
         angle, std = known.outputs["theta_e"], known.outputs["theta_e_std"]
-        anchors = known.known & (std < max(VALID_STD, LARGER_STD * typical_std(known)))
+        anchors = sure_rows(known)
         if anchors.sum() < LEAST_ANCHORS:
             return None
         own = with_inductance(
@@ -289,13 +322,10 @@ class Starts:
         return anchored(rows.samples, estimates), length
 
 
-def learn_from(start: Start, model: SmoothingModel) -> SmoothedRecord:
-    """Smooth and learn; without the direction of injected rows at a cost."""
-    record = learn_record(start.model, start.samples, start.assumed)
-    if start.model.numbers["injection"] == model.numbers["injection"]:
-        return record
-    cost = replace(record.cost, prior=record.cost.prior + WITHOUT_DIRECTION)
-    return replace(record, cost=cost)
+def sure_rows(record: SmoothedRecord) -> NDArray[np.bool_]:
+    """Return the rows whose angle can anchor another record."""
+    std = record.outputs["theta_e_std"]
+    return np.asarray(record.known & (std < max(VALID_STD, LARGER_STD * typical_std(record))))
 
 
 def clearly_better(new: SmoothedRecord, old: SmoothedRecord) -> bool:

@@ -314,6 +314,7 @@ class WholeLog:
     ) -> None:
         """Learn the course of each hypothesis, and add its cost."""
         learnings: list[list[Learning]] = [[] for _ in hypotheses]
+        speeds: list[float] = []
 
         def learn(segment: Anchored) -> tuple[Anchored, list[SmoothedRecord]]:
             anchors = anchors_of(segment)
@@ -325,9 +326,14 @@ class WholeLog:
             time = float(segment.samples.t[len(segment.valid) // 2])
             for n, record in enumerate(records):
                 learnings[n].append(Learning(time, record.assumed, record.misfit))
+            best = min(records, key=rank)
+            if best.misfit < SUSPICIOUS_MISFIT:
+                speeds.append(best.model.numbers["speed"])
         for n, hypothesis in enumerate(hypotheses):
             if self.model is not None and learnings[n]:
                 hypothesis.course = course_of(self.model, learnings[n])
+        if self.model is not None and speeds:
+            self.model = self.model.with_numbers(speed=max(speeds))
 
     def _other_inductances(self) -> list[Hypothesis]:
         """Return hypotheses of a wrong inductance if what was learnt is suspicious."""

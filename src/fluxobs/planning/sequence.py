@@ -315,7 +315,7 @@ class Planner:
         )
         start = self.model.prior()
         record = smooth_record(self.model, samples, start, learning=True)
-        if not record.settled:
+        if not record.converged:
             return 0 * start.covariance
         gained = np.linalg.inv(record.assumed.covariance) - np.linalg.inv(start.covariance)
         values, axes = np.linalg.eigh((gained + gained.T) / 2)

@@ -254,7 +254,9 @@ class SmoothedRecord:
         model is wrong.
     cost : Cost
     settled : bool
-        Whether learning converged without leaving out blocks.
+        Whether the steps of learning became small.
+    left_out : bool
+        Whether blocks did not fit and were left out.
     outputs : dict
         Name → (rows,) array, see smoothing/estimate.h.
     known : (rows,) ndarray of bool
@@ -270,10 +272,16 @@ class SmoothedRecord:
     misfit: float
     cost: Cost
     settled: bool
+    left_out: bool
     outputs: dict[str, Array]
     known: NDArray[np.bool_]
     marks: NDArray[np.int64]
     shares: Array
+
+    @property
+    def converged(self) -> bool:
+        """Whether learning settled and every block fits."""
+        return self.settled and not self.left_out
 
 
 def innovation_cost(excess: float, noise: float, blocks: int) -> float:
@@ -359,6 +367,7 @@ def smooth_record(
         float(about[0]) if converged else np.inf,
         Cost(innovations if converged else np.inf, prior, max(float(about[1]), 0.0)),
         float(about[4]) > 0,
+        float(about[6]) > 0,
         outputs,
         (known > 0) & ~beyond,
         samples.marks,
@@ -390,7 +399,7 @@ def learn_record(model: SmoothingModel, samples: RecordSamples, start: Assumed) 
     converge or may leave out blocks that fit; it then starts once more, from what it learnt.
     """
     record = smooth_record(model, samples, start, learning=True)
-    if record.settled or not np.isfinite(record.cost.sum):
+    if record.converged or not np.isfinite(record.cost.sum):
         return record
     again = smooth_record(model, samples, record.assumed, learning=True)
     return again if again.cost.sum < record.cost.sum else record
