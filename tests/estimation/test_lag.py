@@ -238,7 +238,7 @@ def test_of_two_starts_that_fit_the_one_that_settled_counts():
     """A record that did not settle may be wrong with a smaller standard deviation."""
 
     def with_std(std, settled):
-        outputs = {"theta_e_std": np.full(12, np.radians(std))}
+        outputs = {"theta_e_std": np.full(12, np.radians(std)), "doubtful": np.zeros(12)}
         return replace(record(1, 0.2), outputs=outputs, settled=settled)
 
     settled, wrong = with_std(1.93, True), with_std(1.72, False)
@@ -248,6 +248,13 @@ def test_of_two_starts_that_fit_the_one_that_settled_counts():
     assert starts.clearly_better(with_std(1.5, False), wrong)
     assert not starts.clearly_better(with_std(1.715, False), wrong)
     assert starts.clearly_better(replace(settled, left_out=True), wrong)
+    fewer = with_std(1.85, True)
+    fewer.outputs["doubtful"][3:6] = 1.0
+    assert not starts.clearly_better(fewer, settled)
+    assert starts.clearly_better(settled, fewer)
+    left_out = replace(with_std(1.85, True), left_out=True)  # less than a block of the rows
+    assert starts.clearly_better(settled, left_out)
+    assert not starts.clearly_better(left_out, settled)
 
 
 @pytest.mark.parametrize("long", [False, True])

@@ -50,8 +50,8 @@ SURE = 0.2
 #: After this number of rounds, the start without the bridge was tried. It comes first or second
 #: after the log as it is.
 WITHOUT_BRIDGE = 3
-#: Another start is better if its standard deviation is smaller by this share: rounding must not
-#: decide.
+#: Another start is better if its standard deviation is smaller by this share, or if it explains
+#: more rows by this share: rounding must not decide.
 CLEAR = 0.01
 #: Cost of an estimate without the direction of injected rows: a lag with which they fit is better.
 WITHOUT_DIRECTION = 500.0
@@ -328,19 +328,33 @@ def sure_rows(record: SmoothedRecord) -> NDArray[np.bool_]:
     return np.asarray(record.known & (std < max(VALID_STD, LARGER_STD * typical_std(record))))
 
 
+def gain(new: SmoothedRecord, old: SmoothedRecord) -> float:
+    """Return a positive number if a record explains the log better than another that fits.
+
+    The one that settled is better, then the one that explains more rows, then the one of whose
+    blocks none was left out.
+    """
+    left_out = [float((record.outputs["doubtful"] > 0).mean()) for record in (new, old)]
+    rows = left_out[1] - left_out[0]
+    if new.settled != old.settled:
+        return 1.0 if new.settled else -1.0
+    return rows if abs(rows) > CLEAR else float(old.left_out) - float(new.left_out)
+
+
 def clearly_better(new: SmoothedRecord, old: SmoothedRecord) -> bool:
     """Whether a record fits and the other does not, or it is more than a little better.
 
-    Of two records that fit, the one that settled is better unless its standard deviation is much
-    larger. A record that did not settle may have a smaller standard deviation and be wrong.
+    Of two records that fit, the one that explains the log better counts, unless its standard
+    deviation is much larger: a record that did not settle may have a smaller one and be wrong.
     """
     (new_misfits, new_size), (old_misfits, old_size) = rank(new), rank(old)
     if new_misfits != old_misfits:
         return old_misfits
-    if new.settled != old.settled and not new_misfits:
-        settled, other = (new_size, old_size) if new.settled else (old_size, new_size)
-        if settled < LARGER_STD * other:
-            return new.settled
+    if not new_misfits:
+        gained = gain(new, old)
+        better, other = (new_size, old_size) if gained > 0 else (old_size, new_size)
+        if gained != 0 and better < LARGER_STD * other:
+            return gained > 0
     return new_size < (1 - CLEAR) * old_size
 
 
