@@ -26,8 +26,8 @@ def reproduce(
         bool,
         typer.Option(
             "--deep",
-            help="Add the long studies (ten minutes): scenario S2, scalar gain, later observers, "
-            "the model as printed, closed loop.",
+            help="Add the long studies (about ten minutes): scenario S2, scalar gain, later "
+            "observers, the model as printed, closed loop, smoother, levitation at rest.",
         ),
     ] = False,
     force: ForceOption = False,

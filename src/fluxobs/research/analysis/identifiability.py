@@ -134,24 +134,24 @@ def invisible_from_constraint(constraint: QuadraticConstraint, constants: Parame
 
 @dataclass(frozen=True, eq=False)
 class InvisibleComparison:
-    """Invisible directions, predicted from the constraint and found on a record.
+    """Invisible directions, predicted from the constraint and measured on a record.
 
     Attributes
     ----------
-    predicted, found : (N, k) ndarray
+    predicted, measured : (N, k) ndarray
     angle : float
-        Largest principal angle between `predicted` and `found` [rad]; NaN if their dimensions
+        Largest principal angle between `predicted` and `measured` [rad]; NaN if their dimensions
         differ.
     """
 
     predicted: Array
-    found: Array
+    measured: Array
     angle: float
 
     @property
     def agree(self) -> bool:
         """Whether the record shows every direction that the constraint makes visible."""
-        return self.predicted.shape == self.found.shape and not self.angle > 1e-3
+        return self.predicted.shape == self.measured.shape and not self.angle > 1e-3
 
 
 def compare_invisible(
@@ -165,17 +165,17 @@ def compare_invisible(
 ) -> InvisibleComparison:
     """Compare the prediction from the constraint with the observability Gramian of a record."""
     sizes = np.asarray(scale, float)
-    found = invisible_from_gramian(
+    measured = invisible_from_gramian(
         observability_gramian(rows, constants, h, window, sizes), tolerance
     )
     predicted = invisible_from_constraint(constraint, constants) / sizes[:, None]
-    if predicted.shape != found.shape:
+    if predicted.shape != measured.shape:
         angle = float("nan")
-    elif found.shape[1] == 0:
+    elif measured.shape[1] == 0:
         angle = 0.0
     else:
-        angle = float(np.max(subspace_angles(predicted, found)))
-    return InvisibleComparison(predicted, found, angle)
+        angle = float(np.max(subspace_angles(predicted, measured)))
+    return InvisibleComparison(predicted, measured, angle)
 
 
 def rank(gramian: ArrayLike, tolerance: float = 1e-10) -> int:

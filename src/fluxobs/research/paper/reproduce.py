@@ -70,8 +70,9 @@ def reproduce(
     quick : bool
         Run only scenario S5, for 30 s with the jump at 15 s, without stability and noise; PNG only.
     deep : bool
-        Also run the long studies (minutes): scenario S2, Proposition 2 with a scalar gain,
-        observers published later, the levitation as printed, the closed loop.
+        Also run the long studies (about ten minutes): scenario S2, Proposition 2 with a scalar
+        gain, observers published later, the levitation as printed, the closed loop, the smoother,
+        the levitation at rest.
     say : callable
         Function that gets a line of text after each step.
     processes : int
