@@ -1,27 +1,15 @@
 """The lag that nobody states: hypotheses, weighed by the log; priors of the rest."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import fluxobs
 from fluxobs.errors import FluxobsError
-from fluxobs.estimation import starts, whole_log
-from fluxobs.estimation.anchors import usual_speed
 from fluxobs.estimation.hypotheses import mixed, weights_of
 from fluxobs.machines.model.frames import wrap
-from fluxobs.smoothing import record as smoothing_record
-from fluxobs.smoothing.record import (
-    OUTPUTS,
-    QUANTITIES,
-    SHARES,
-    Cost,
-    SmoothedRecord,
-    learn_record,
-    smooth_record,
-)
-from support.records import SERVO, driven, log_columns, steady
+from fluxobs.smoothing.record import SHARES
+from support.records import SERVO, log_columns, steady
+from support.smoothed import fast_run, record, shorten_windows
 
 
 def late(columns):
@@ -35,13 +23,7 @@ def late(columns):
 
 @pytest.fixture(scope="module")
 def samples():
-    """Return a fast run with load steps, and a reversal."""
-    t = 1e-4 * np.arange(20_000)
-    speed = np.interp(t, [0, 0.3, 1.2, 1.6, 2.0], [200, 1500, 1500, -900, -900])
-    current = 1j * np.interp(
-        t, [0, 0.5, 0.51, 0.8, 0.81, 1.7, 1.71, 2], [2, 2, 11, 11, 3, 3, -9, -9]
-    )
-    return driven(SERVO, 1e-4, speed, current, noise=0.02)
+    return fast_run()
 
 
 @pytest.mark.parametrize(("lag", "columns"), [(0.0, dict), (-1.0, late)])
@@ -56,14 +38,6 @@ def test_a_log_with_load_steps_determines_the_lag(samples, lag, columns):
     valid = stated["valid"]
     difference = wrap(result["theta_e"] - stated["theta_e"])[valid]
     assert np.degrees(np.abs(difference).max()) < 2  # the first pass had another lag
-
-
-def shorten_windows(monkeypatch):
-    """Make a log of 20,000 rows a long one: two windows, parameters learnt from two segments."""
-    monkeypatch.setattr(whole_log, "WINDOW_ROWS", 8_192)
-    monkeypatch.setattr(whole_log, "OVERLAP_ROWS", 2_048)
-    monkeypatch.setattr(whole_log, "SEGMENTS", 2)
-    monkeypatch.setattr(whole_log, "SEGMENT_ROWS", 10_000)
 
 
 def test_a_long_log_determines_the_lag_from_segments(samples, monkeypatch):
@@ -91,26 +65,6 @@ def test_constant_speed_and_load_leave_both(columns):
     lag = {c.name: c for c in result.budget.contributions}.get("lag")
     if result["valid"].any():
         assert lag.std > 0.3 * result.lag.position_difference
-
-
-def record(seed, offset):
-    rng = np.random.default_rng(seed)
-    rows, blocks = 12, 3
-    outputs = {name: offset + 0.1 * rng.random(rows) for name in OUTPUTS}
-    shares = rng.random((blocks, len(QUANTITIES), len(SHARES)))
-    model = type("Model", (), {"rows_per_block": 4})()
-    return SmoothedRecord(
-        model,
-        None,
-        0.01,
-        Cost(0.0, 0.0, 0.0),
-        True,
-        False,
-        outputs,
-        np.ones(rows, bool),
-        None,
-        shares,
-    )
 
 
 def test_two_records_give_the_moments_of_their_mixture():
@@ -218,67 +172,3 @@ def test_the_island_between_unknown_rows_is_not_valid():
     assert not valid[1000:1300].any()
     wider = np.where(std > 0.1, np.radians(5.0), std)  # not valid, but not lost
     assert trusted(angle, wider, np.zeros(rows, bool))[1100:1200].all()
-
-
-def test_every_lag_of_the_demo_settles_at_its_first_start(monkeypatch):
-    """Without relaxation, the steps of three of the four lags alternate."""
-    settled = []
-
-    def recording(*given):
-        record = learn_record(*given)
-        settled.append(record.converged)
-        return record
-
-    monkeypatch.setattr(starts, "learn_record", recording)
-    fluxobs.estimate(fluxobs.demo_log(), "servo-400w")
-    assert settled == [True] * 4
-
-
-def test_of_two_starts_that_fit_the_one_that_settled_counts():
-    """A record that did not settle may be wrong with a smaller standard deviation."""
-
-    def with_std(std, settled):
-        outputs = {"theta_e_std": np.full(12, np.radians(std)), "doubtful": np.zeros(12)}
-        return replace(record(1, 0.2), outputs=outputs, settled=settled)
-
-    settled, wrong = with_std(1.93, True), with_std(1.72, False)
-    assert starts.clearly_better(settled, wrong)
-    assert not starts.clearly_better(wrong, settled)
-    assert not starts.clearly_better(with_std(3.0, True), wrong)
-    assert starts.clearly_better(with_std(1.5, False), wrong)
-    assert not starts.clearly_better(with_std(1.715, False), wrong)
-    assert starts.clearly_better(replace(settled, left_out=True), wrong)
-    fewer = with_std(1.85, True)
-    fewer.outputs["doubtful"][3:6] = 1.0
-    assert not starts.clearly_better(fewer, settled)
-    assert starts.clearly_better(settled, fewer)
-    left_out = replace(with_std(1.85, True), left_out=True)  # less than a block of the rows
-    assert starts.clearly_better(settled, left_out)
-    assert not starts.clearly_better(left_out, settled)
-
-
-@pytest.mark.parametrize("long", [False, True])
-def test_an_observer_that_turns_too_fast_does_not_shorten_the_blocks(samples, monkeypatch, long):
-    """A reluctance machine's estimate was sure and wrong with blocks of a row instead of 16."""
-    if long:
-        shorten_windows(monkeypatch)
-    columns = log_columns(samples)
-    expected = fluxobs.estimate(columns, SERVO, lag=0)
-    used = []
-
-    def recording(model, *given, **options):
-        used.append(model.rows_per_block)
-        return smooth_record(model, *given, **options)
-
-    def too_fast(*given):
-        return 30 * usual_speed(*given)
-
-    monkeypatch.setattr(whole_log, "usual_speed", too_fast)
-    monkeypatch.setattr(whole_log, "smooth_record", recording)
-    monkeypatch.setattr(smoothing_record, "smooth_record", recording)
-    result = fluxobs.estimate(columns, SERVO, lag=0)
-    assert used[0] == 1
-    assert used[-1] > 1
-    difference = wrap(result["theta_e"] - expected["theta_e"])
-    assert np.degrees(np.abs(difference)).max() < 0.5
-    assert (result["valid"] == expected["valid"]).mean() > 0.999

@@ -221,21 +221,29 @@ class Cost:
 
     Attributes
     ----------
-    innovations : float
+    excess : float
         Half the weighted squares of the innovations, less the part of the noise. A block that was
         left out counts as one that just fits.
+    innovations : float
+        The same, but innovations smaller than the noise cost too, see :func:`innovation_cost`.
     prior : float
     correlation : float
         Of neighbouring innovations: correlated ones count as fewer independent ones.
     """
 
+    excess: float
     innovations: float
     prior: float
     correlation: float
 
     @property
+    def objective(self) -> float:
+        """What learning minimises: it compares minima of one hypothesis."""
+        return self.excess + self.prior
+
+    @property
     def sum(self) -> float:
-        """Cost if the innovations are independent."""
+        """Cost of a hypothesis if the innovations are independent."""
         return self.innovations + self.prior
 
 
@@ -360,12 +368,17 @@ def smooth_record(
     converged = bool(np.isfinite(outputs["theta_e"]).all())
     prior = sum((learnt.deviations[name] / model.stds[name]) ** 2 for name in model.active) / 2
     blocks = len(samples.voltage) // model.rows_per_block
-    innovations = innovation_cost(float(about[2]) - prior, float(about[5]), blocks)
+    excess = float(about[2]) - prior if converged else np.inf
     return SmoothedRecord(
         model,
         learnt,
         float(about[0]) if converged else np.inf,
-        Cost(innovations if converged else np.inf, prior, max(float(about[1]), 0.0)),
+        Cost(
+            excess,
+            innovation_cost(excess, float(about[5]), blocks),
+            prior,
+            max(float(about[1]), 0.0),
+        ),
         float(about[4]) > 0,
         float(about[6]) > 0,
         outputs,
@@ -399,7 +412,7 @@ def learn_record(model: SmoothingModel, samples: RecordSamples, start: Assumed) 
     converge or may leave out blocks that fit; it then starts once more, from what it learnt.
     """
     record = smooth_record(model, samples, start, learning=True)
-    if record.converged or not np.isfinite(record.cost.sum):
+    if record.converged or not np.isfinite(record.cost.objective):
         return record
     again = smooth_record(model, samples, record.assumed, learning=True)
-    return again if again.cost.sum < record.cost.sum else record
+    return again if again.cost.objective < record.cost.objective else record

@@ -154,7 +154,11 @@ def test_constraint_and_record_agree_on_invisible_directions(name, kind):
     comparison = compare_invisible(
         case.constraint, rows, unknown, h, 3999 * h, scale, tolerance=1e-13
     )
-    assert comparison.agree, (comparison.predicted.shape, comparison.measured.shape, comparison.angle)
+    assert comparison.agree, (
+        comparison.predicted.shape,
+        comparison.measured.shape,
+        comparison.angle,
+    )
 
 
 def test_erratum_7_printed_constants_are_violated_at_the_start():
