@@ -221,25 +221,21 @@ class Cost:
 
     Attributes
     ----------
-    excess : float
-        Half the weighted squares of the innovations, less the part of the noise. A block that was
-        left out counts as one that just fits.
+    objective : float
+        What learning minimises: half the weighted squares of the innovations, less the part of the
+        noise, and the prior. A block that was left out counts as one that just fits.
     innovations : float
-        The same, but innovations smaller than the noise cost too, see :func:`innovation_cost`.
+        The part of the innovations; those that are smaller than the noise cost too, see
+        :func:`innovation_cost`.
     prior : float
     correlation : float
         Of neighbouring innovations: correlated ones count as fewer independent ones.
     """
 
-    excess: float
+    objective: float
     innovations: float
     prior: float
     correlation: float
-
-    @property
-    def objective(self) -> float:
-        """What learning minimises: it compares minima of one hypothesis."""
-        return self.excess + self.prior
 
     @property
     def sum(self) -> float:
@@ -368,14 +364,14 @@ def smooth_record(
     converged = bool(np.isfinite(outputs["theta_e"]).all())
     prior = sum((learnt.deviations[name] / model.stds[name]) ** 2 for name in model.active) / 2
     blocks = len(samples.voltage) // model.rows_per_block
-    excess = float(about[2]) - prior if converged else np.inf
+    objective = float(about[2]) if converged else np.inf
     return SmoothedRecord(
         model,
         learnt,
         float(about[0]) if converged else np.inf,
         Cost(
-            excess,
-            innovation_cost(excess, float(about[5]), blocks),
+            objective,
+            innovation_cost(objective - prior, float(about[5]), blocks),
             prior,
             max(float(about[1]), 0.0),
         ),
