@@ -63,7 +63,7 @@ UNSURE = 0.01
 #: Cost of an estimate without the direction of injected rows: a lag with which they fit is better.
 WITHOUT_DIRECTION = 500.0
 #: With this multiple of the standard deviation of the best hypothesis, another has not converged;
-#: with less, a record that settled is better than one that did not. On a drive of
+#: with less, the record that explains the log better counts. On a drive of
 #: benchmarks/whole_log.py --drives 3 --seed 7 σ was 1.93° and 1.88°, and the second was wrong.
 LARGER_STD = 1.5
 #: A record is learnt again if its own speed asks for blocks that are longer or shorter by this
