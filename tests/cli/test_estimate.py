@@ -196,7 +196,8 @@ def test_an_interrupted_run_leaves_no_file(folder, name):
             time.sleep(0.02)
         time.sleep(0.5)
         running.send_signal(getattr(signal, name))
-        assert running.wait(60) != 0
+        # Learning from a segment is not interrupted; a slow computer needs minutes for all of them.
+        assert running.wait(400) != 0
     assert sorted(folder.iterdir()) == before
 
 

@@ -58,7 +58,7 @@ CLEAR = 0.01
 #: was wrong by 85°; the right minimum has -2.2.
 DEEPER = 3.0
 #: If the angle is unsure on more than this share of the rows that are measured, as through a stop,
-#: there may be other minima: a second start is tried.
+#: there may be other minima: a second start is tried. A long log is learnt from many segments.
 UNSURE = 0.01
 #: Cost of an estimate without the direction of injected rows: a lag with which they fit is better.
 WITHOUT_DIRECTION = 500.0
@@ -153,8 +153,9 @@ class Starts:
             return False
         sure = float((best.outputs["theta_e_std"] < VALID_STD).mean())
         unsure = float((best.known & (best.outputs["theta_e_std"] > VALID_STD)).mean())
+        verified = rounds > 1 or unsure < UNSURE or not self.in_parts
         tried = rounds >= WITHOUT_BRIDGE or not doubts_bridge(best)
-        return best.converged and sure > SURE and tried and (rounds > 1 or unsure < UNSURE)
+        return best.converged and sure > SURE and tried and verified
 
     def _learn_from_best(
         self,
