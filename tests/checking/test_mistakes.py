@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs import RecordError, check, estimate
+from fluxobs import RecordError, estimate
+from fluxobs.checking.search import check_log
+from fluxobs.logs.for_machine import open_for
 from fluxobs.machines import example
 from support.records import COURSE_TIME, PMSM, course
 
@@ -182,7 +184,7 @@ def cases(quick):
 )
 def test_check(name, with_truth):
     columns, machine, layout, message = case(name, with_truth)
-    found = check(columns, machine, **layout)
+    found = check_log(open_for(columns, machine, **layout), machine)
     if message is None:
         assert found.sound, str(found)
         return
