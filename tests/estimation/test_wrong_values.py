@@ -10,11 +10,11 @@ from fluxobs.simulation.closed_form.signals import driven
 from fluxobs.smoothing.record import SmoothingModel
 from support.records import PMSM, SERVO, white, wrapped_degrees
 
-H, ROWS, PARTS = 1e-4, 16_000, 6
+H, ROWS, PARTS = 1e-4, 8_000, 6
 T = H * np.arange(ROWS)
 FINE = np.linspace(0, T[-1], (ROWS - 1) * PARTS + 1)
-SPEED = np.interp(FINE, [0, 0.5, 1.0, 1.6], [300.0, 600.0, 350.0, 500.0])
-LOAD = np.interp(FINE, [0, 0.4, 0.403, 0.9, 0.903, 1.6], [0.4, 0.4, 1.0, 1.0, 0.6, 0.6])
+SPEED = np.interp(FINE, [0, 0.25, 0.5, 0.8], [300.0, 600.0, 350.0, 500.0])
+LOAD = np.interp(FINE, [0, 0.2, 0.203, 0.45, 0.453, 0.8], [0.4, 0.4, 1.0, 1.0, 0.6, 0.6])
 
 
 class Plant:
@@ -88,7 +88,7 @@ def test_magnets_that_weaken_while_the_speed_changes():
     psi, L = PMSM.psi_f, PMSM.L_s
 
     def flux(i):
-        lost = 0.2 * np.clip((FINE - 0.8) / 0.005, 0, 1)
+        lost = 0.2 * np.clip((FINE - 0.4) / 0.005, 0, 1)
         return psi * (1 - lost) + L * i
 
     result, error, valid = estimated(*log_of(Plant(PMSM.R_s, flux), 5.0), PMSM)
@@ -178,7 +178,7 @@ def _sagging():
 
 def _weakening():
     psi, L = PMSM.psi_f, PMSM.L_s
-    lost = 0.2 * np.clip((FINE - 0.8) / 0.005, 0, 1)
+    lost = 0.2 * np.clip((FINE - 0.4) / 0.005, 0, 1)
     return log_of(Plant(PMSM.R_s, lambda i: psi * (1 - lost) + L * i), 5.0)[:2]
 
 

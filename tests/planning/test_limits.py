@@ -14,7 +14,7 @@ from fluxobs.planning.report import plan_data, plan_figure, plan_text
 from fluxobs.planning.setup import Sensors, observer_of, quantities, rating_of
 
 NAME = "servo-400w"
-SPEEDS = np.geomspace(0.03, 0.5, 7)
+SPEEDS = np.geomspace(0.03, 0.5, 5)
 
 
 @pytest.fixture(scope="module")

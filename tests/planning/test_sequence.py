@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 
 import fluxobs
+import fluxobs.planning.sequence as planning
 from fluxobs.errors import FluxobsError, UsageError
 from fluxobs.machines import example, rotating
 from fluxobs.planning.report import write_sequence
@@ -26,6 +27,16 @@ def planner(wanted, priors=SCALES, name=NAME, **options):
     rated = rating_of(machine, name)
     sensors = Sensors.usual(machine.rated_current, rated)
     return Planner(machine, rated, sensors, wanted, priors, **options)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_set_points():
+    """A sixth of the set points: to evaluate all of them takes most of a plan's time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planning, "SPEEDS", (0.05, 0.2, 0.7))
+        patch.setattr(planning, "LENGTHS", (0.35, 0.95))
+        patch.setattr(planning, "DIRECTIONS", 6)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +99,7 @@ def test_a_stricter_wish_takes_longer(planned):
 
 def test_without_a_load_machine_only_currents_along_d():
     machine = example(NAME)
-    sequence = planner({"R_s": 0.05 * machine.R_s}, loaded=False).plan()
+    sequence = planner({"R_s": 0.1 * machine.R_s}, loaded=False).plan()
     assert all(knot.i_q == 0 for knot in sequence.knots)
     assert any(knot.i_d != 0 for knot in sequence.knots)
 
