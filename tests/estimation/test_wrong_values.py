@@ -1,5 +1,7 @@
 """Logs that contradict the machine file or each other: named, and never sure and wrong."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -120,7 +122,14 @@ ROTATED = {
 }
 
 
-@pytest.mark.parametrize("name", ROTATED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("phases b and c exchanged", marks=pytest.mark.slow),
+        pytest.param("windings of a delta", marks=pytest.mark.slow),
+        "windings of a delta, other order",
+    ],
+)
 def test_currents_of_other_phases_are_named_and_no_row_is_valid(name):
     read, words = ROTATED[name]
     voltage, current, _ = log_of(Plant(SERVO.R_s, SERVO.flux_dq), 8.0)
@@ -224,6 +233,11 @@ def _warnings(situation):
     return given, fluxobs.estimate(log(), machine, **given).warnings
 
 
+@cache
+def _warnings_of_the_right_log():
+    return _warnings((_plain, PMSM, {}))[1]
+
+
 @pytest.mark.parametrize("name", ADVICE)
 def test_advice_has_a_situation_and_can_be_followed(name):
     bad, words, mended = ADVICE[name]
@@ -231,7 +245,9 @@ def test_advice_has_a_situation_and_can_be_followed(name):
     assert any(words in text for text in texts), texts
     for text in texts:  # nothing that is stated already is asked for
         assert "state --lag" not in text or "lag" not in given, text
-    assert not any(words in text for text in _warnings(mended)[1])
+    right = mended == (_plain, PMSM, {})
+    texts = _warnings_of_the_right_log() if right else _warnings(mended)[1]
+    assert not any(words in text for text in texts)
 
 
 def test_advice_does_not_ask_for_what_is_stated():

@@ -11,7 +11,7 @@ from fluxobs.machines import example
 from fluxobs.simulation.closed_form.demo import LOG, MACHINE
 
 TABLE = np.genfromtxt(LOG, delimiter=",", names=True)
-GOOD = {name: TABLE[name] for name in TABLE.dtype.names}
+GOOD = {name: TABLE[name][:5000] for name in TABLE.dtype.names}
 SERVO = example(MACHINE)
 TURNS = np.exp(-2j * np.pi / 3 * np.arange(3))
 
@@ -25,8 +25,9 @@ def three_phases(**changed):
     return {"t": GOOD["t"]} | phases("u") | phases("i") | changed
 
 
-def page(columns=GOOD, machine=SERVO, **layout):
-    examination = fluxobs.check(columns, machine, **layout)
+def page(columns=GOOD, machine=SERVO, rows=None, **layout):
+    first_rows = {name: values[:rows] for name, values in columns.items()}
+    examination = fluxobs.check(first_rows, machine, **layout)
     return examination, {item.name: item for item in examination.items}
 
 
@@ -98,7 +99,7 @@ def test_three_sensors_of_different_gain_and_offset():
 def test_one_of_three_sensors_is_inverted():
     columns = three_phases()
     columns["i_b"] = -columns["i_b"]
-    _, items = page(columns)
+    _, items = page(columns, rows=2000)
     gain = items["gain of i_b"]
     assert gain.verdict == "look at it"
     assert gain.value is None
@@ -109,7 +110,7 @@ def test_clipping_and_coarse_steps():
     columns = three_phases()
     columns["i_a"] = np.clip(columns["i_a"], -6.0, 6.0)
     columns["i_b"] = np.round(columns["i_b"] / 0.5) * 0.5
-    _, items = page(columns)
+    _, items = page(columns, rows=2000)
     assert items["clipping"].verdict == "look at it"
     assert "i_a" in items["clipping"].words
     assert items["resolution of the currents"].verdict == "look at it"
@@ -146,7 +147,7 @@ def test_an_encoder_off_its_axis():
 
 def test_a_stopped_encoder_is_not_called_eccentric_or_late():
     shaft = np.unwrap(GOOD["theta_e"]) / SERVO.n_p
-    shaft[6000:] = shaft[6000]
+    shaft[3000:] = shaft[3000]
     columns = {n: v for n, v in GOOD.items() if n != "theta_e"}
     _, items = page(columns | {"encoder_deg": np.degrees(np.mod(shaft, 2 * np.pi))})
     remaining = items["remaining error of the truth"]
@@ -158,7 +159,7 @@ def test_a_stopped_encoder_is_not_called_eccentric_or_late():
 
 def test_a_misread_log_is_not_examined():
     columns = GOOD | {"i_beta": GOOD["i_alpha"]}
-    examination, items = page(columns)
+    examination, items = page(columns, rows=2000)
     assert not examination.sound
     assert items["parameters of the drive"].verdict == "cannot be told"
 
