@@ -10,6 +10,7 @@ import pytest
 
 import fluxobs
 from fluxobs import FluxobsError
+from support.compiling import compiled
 from support.records import MACHINES
 
 STUBS = Path(__file__).parent / "arduino"
@@ -35,12 +36,10 @@ def library(request, tmp_path_factory):
 
 def built(library, scratch, *sources):
     """Compile C++ sources or sketches with the library's C sources; return the program."""
-    objects = []
     example = library / "examples" / "SelfTest"
-    for source in [*library.glob("src/*.c"), example / "check.c"]:
-        objects.append(scratch / f"{source.stem}.o")
-        command = ["gcc", "-std=c99", "-O1", "-ffp-contract=off", f"-I{library}/src", "-c", source]
-        subprocess.run([*command, "-o", objects[-1]], check=True)
+    options = ["-std=c99", "-O1", "-ffp-contract=off", f"-I{library}/src"]
+    c_sources = [*library.glob("src/*.c"), example / "check.c"]
+    objects = [compiled(["gcc"], options, source) for source in c_sources]
     command = [*CPP, f"-I{STUBS}", f"-I{library}/src", f"-I{example}", "-include", "Arduino.h"]
     program = scratch / "program"
     as_cpp = [argument for source in sources for argument in ("-x", "c++", source)]

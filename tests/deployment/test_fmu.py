@@ -14,6 +14,7 @@ import pytest
 import fluxobs
 from fluxobs import FluxobsError
 from fluxobs.deployment.forms import build
+from support.compiling import build_program
 from support.records import MACHINES
 
 fmpy = pytest.importorskip("fmpy")
@@ -83,7 +84,7 @@ def test_the_sources_in_the_unit_compile_on_their_own(units, tmp_path):
         archive.extractall(tmp_path)
     sources = sorted((tmp_path / "sources").glob("*.c"))
     strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared"]
-    subprocess.run(["gcc", *strict, *sources, "-lm", "-o", tmp_path / "unit.so"], check=True)
+    build_program(["gcc"], strict, sources, tmp_path / "unit.so")
 
 
 def test_the_sources_are_double_precision_without_any_option(units, tmp_path):
@@ -96,8 +97,8 @@ def test_the_sources_are_double_precision_without_any_option(units, tmp_path):
             archive.extractall(tmp_path / "unit")
         folder = tmp_path / "unit"
         program = next(name for name in content if name.startswith("binaries/"))
-        options = ["-shared", "-fPIC", *(folder / "sources").glob("*.c"), f"-I{folder}/sources"]
-        subprocess.run(["gcc", *options, "-lm", "-o", folder / program], check=True)
+        options = ["-shared", "-fPIC", f"-I{folder}/sources"]
+        build_program(["gcc"], options, [*(folder / "sources").glob("*.c")], folder / program)
         content[program] = (folder / program).read_bytes()
         with zipfile.ZipFile(path, "w") as archive:
             for name, data in content.items():

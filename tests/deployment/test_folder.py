@@ -16,7 +16,8 @@ from fluxobs.core.output import claimed
 from fluxobs.deployment.c_source import hex_float
 from fluxobs.deployment.folder import check_folder, write_folder
 from fluxobs.deployment.vectors import COLUMNS
-from support.firmware import COMPILERS, CPP_COMPILERS, HARNESS, STRICT, make_test
+from support.compiling import build_program
+from support.firmware import COMPILERS, CPP_COMPILERS, HARNESS, STRICT, firmware_objects, make_test
 from support.records import MACHINES
 
 ADAPTIVE = ("drift", "resistance", "inverter")
@@ -63,7 +64,7 @@ def test_one_changed_value_fails(tmp_path, folders, name, pattern):
     end = re.search(pattern, text, re.DOTALL).end(1)
     digit = text[end - 1]
     path.write_text(text[: end - 1] + ("1" if digit != "1" else "2") + text[end:])
-    done = make_test(tmp_path / "motor")
+    done = make_test(tmp_path / "motor", "CFLAGS=-O0")
     assert done.returncode != 0
     assert "FAILED" in done.stdout
 
@@ -80,7 +81,7 @@ def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
     )
     lines[row] = ", ".join(cells)
     path.write_text("\n".join(lines))
-    done = make_test(tmp_path / "motor")
+    done = make_test(tmp_path / "motor", "CFLAGS=-O0")
     assert done.returncode != 0
     assert "not those that were written" in done.stdout
 
@@ -230,9 +231,25 @@ def test_two_machines_in_one_firmware(tmp_path):
     assert "they have FO_MAPPED 1" in build(pump).stderr
 
 
-@pytest.mark.parametrize("compiler", CPP_COMPILERS)
-@pytest.mark.parametrize("standard", ["c++11", "c++14", "c++17", "c++20"])
-@pytest.mark.parametrize("kind", ["plain", "adaptive", "map"])
+#: Each compiler with the oldest and the newest standard, each kind once; the others are slow.
+HEADERS = (("g++", "c++11", "plain"), ("g++", "c++20", "adaptive"), ("clang++", "c++11", "map"))
+
+
+@pytest.mark.parametrize(
+    ("compiler", "standard", "kind"),
+    [
+        pytest.param(
+            compiler.values[0],
+            standard,
+            kind,
+            id=f"{compiler.id}-{standard}-{kind}",
+            marks=() if (compiler.id, standard, kind) in HEADERS else pytest.mark.slow,
+        )
+        for compiler in CPP_COMPILERS
+        for standard in ("c++11", "c++14", "c++17", "c++20")
+        for kind in ("plain", "adaptive", "map")
+    ],
+)
 def test_headers_in_cpp(tmp_path_factory, compiler, standard, kind):
     folder = tmp_path_factory.mktemp("cpp") / "motor"
     machine = "ipm-5kw6" if kind == "map" else "servo-400w"
@@ -447,7 +464,7 @@ def test_a_state_of_zeros_resets_itself_and_is_counted(tmp_path, unknowns):
     folder = tmp_path / "motor"
     fluxobs.export(MACHINES["servo-400w"], 1e-4, folder, unknowns=unknowns)
     kind = [] if unknowns == "drift" else ["-DADAPTIVE"]
-    sources = [HARNESS / "zeros.c", *folder.glob("*obs*.c")]
-    command = ["gcc", "-std=c99", "-O1", *kind, f"-I{folder}", f"-I{folder}/test", *sources]
-    subprocess.run([*command, "-lm", "-o", tmp_path / "zeros"], check=True)
+    sources = [HARNESS / "zeros.c", *firmware_objects(folder.glob("*obs*.c"))]
+    options = ["-std=c99", "-O1", *kind, f"-I{folder}", f"-I{folder}/test"]
+    build_program(["gcc"], options, sources, tmp_path / "zeros")
     assert subprocess.run([tmp_path / "zeros"], check=False).returncode == 0

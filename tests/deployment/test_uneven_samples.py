@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import fluxobs
-from support.firmware import HARNESS, STRICT
+from support.compiling import build_program
+from support.firmware import HARNESS, STRICT, firmware_objects
 from support.records import MACHINES, wrapped_degrees
 
 SAMPLE_TIME, SPEED, ROWS = 1e-4, 600.0, 6000
@@ -21,12 +22,10 @@ def program(request, tmp_path_factory):
     priors = small if request.param == ADAPTIVE else None
     machine = MACHINES["servo-400w"]
     fluxobs.export(machine, SAMPLE_TIME, folder, unknowns=request.param, priors=priors)
-    sources = [HARNESS / "uneven.c", *folder.glob("*obs*.c")]
+    sources = [HARNESS / "uneven.c", *firmware_objects(folder.glob("*obs*.c"))]
     kind = [] if request.param == "drift" else ["-DADAPTIVE"]
     executable = folder.parent / "uneven"
-    command = ["gcc", *STRICT, *kind, f"-I{folder}", *sources, "-lm", "-o", executable]
-    subprocess.run(command, check=True)
-    return executable
+    return build_program(["gcc"], [*STRICT, *kind, f"-I{folder}"], sources, executable)
 
 
 def record(duration, noise=0.005):

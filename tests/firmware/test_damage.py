@@ -6,7 +6,8 @@ import subprocess
 import pytest
 
 import fluxobs
-from support.firmware import HARNESS
+from support.compiling import build_program
+from support.firmware import HARNESS, firmware_objects
 from support.records import SERVO
 
 #: Largest number of rows that are valid but wrong, and of samples (1e-4 s) until all rows are right
@@ -20,8 +21,10 @@ def test_overwritten_memory(tmp_path, single):
     folder = tmp_path / "motor"
     fluxobs.export(SERVO, 1e-4, folder, unknowns="drift")
     values = [f"-D{name}={value}" for name, value in LIMITS.items()]
-    command = ["gcc", "-std=c99", "-O1", f"-DFO_SINGLE={single}", *values]
-    command += [f"-I{folder}", f"-I{folder}/test", HARNESS / "damage.c", *folder.glob("*obs*.c")]
-    subprocess.run([*command, "-lm", "-o", tmp_path / "damage"], check=True)
+    options = ["-std=c99", "-O1", f"-DFO_SINGLE={single}", *values]
+    options += [f"-I{folder}", f"-I{folder}/test"]
+    objects = firmware_objects(folder.glob("*obs*.c"), f"-DFO_SINGLE={single}")
+    sources = [HARNESS / "damage.c", *objects]
+    build_program(["gcc"], options, sources, tmp_path / "damage")
     done = subprocess.run([tmp_path / "damage"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from support.firmware import FIRMWARE, HARNESS
+from support.compiling import build_program
+from support.firmware import FIRMWARE, HARNESS, firmware_objects
 from support.learning_twin import ASYMMETRY, COUNT, INVERTER, OFFSET, LearningTwin, Settings
 
 ROWS, H = 6000, 0.004  # sample time over memory
@@ -38,13 +39,10 @@ SETTINGS = Settings(
 @pytest.fixture(scope="module")
 def program(tmp_path_factory):
     made = tmp_path_factory.mktemp("learner") / "learner"
-    sources = [HARNESS / "learner.c", FIRMWARE / "fluxobs.c", FIRMWARE / "fluxobs_map.c"]
-    sources += [
-        FIRMWARE / f"fluxobs_{name}.c"
-        for name in ("triangle", "candidates", "learning", "relation", "adaptive")
-    ]
-    command = ["gcc", "-std=c99", "-O1", "-Wall", "-Werror", f"-I{FIRMWARE}", *sources]
-    subprocess.run([*command, "-lm", "-o", made], check=True)
+    parts = ("", "_map", "_triangle", "_candidates", "_learning", "_relation", "_adaptive")
+    objects = firmware_objects(FIRMWARE / f"fluxobs{part}.c" for part in parts)
+    sources = [HARNESS / "learner.c", *objects]
+    build_program(["gcc"], ["-std=c99", "-O1", "-Wall", "-Werror", f"-I{FIRMWARE}"], sources, made)
     return made
 
 

@@ -10,6 +10,7 @@ import fluxobs
 from fluxobs import _core
 from fluxobs.machines import InductionMachine, SynchronousReluctance, example
 from fluxobs.observers import AdaptiveObserver, LeastSquaresObserver
+from support.compiling import build_program, compiled
 from support.firmware import (
     CPP_COMPILERS,
     FIRMWARE,
@@ -17,6 +18,7 @@ from support.firmware import (
     ROOT,
     STRICT,
     cross_compiler,
+    firmware_objects,
     make_test,
 )
 from support.records import MACHINES
@@ -29,10 +31,8 @@ ALL = ("drift", "resistance", "inverter", "asymmetry")
 def built(folder: Path, source: str, *flags: object) -> Path:
     """Compile a harness with all sources of the firmware."""
     program = folder / Path(source).stem
-    sources = [RUNTIME / source, *sorted(FIRMWARE.glob("*.c"))]
-    command = ["gcc", *STRICT, *flags, f"-I{FIRMWARE}", *sources, "-lm"]
-    subprocess.run([*map(str, command), "-o", str(program)], check=True)
-    return program
+    sources = [RUNTIME / source, *firmware_objects(FIRMWARE.glob("*.c"), *flags)]
+    return build_program(["gcc"], [*STRICT, *flags, f"-I{FIRMWARE}"], sources, program)
 
 
 @pytest.fixture(scope="module")
@@ -126,11 +126,13 @@ def folder(request, tmp_path_factory):
 def run_in(folder: Path, source: str, *arguments: object, flags: tuple[str, ...] = ()) -> str:
     """Compile a harness with everything in an exported folder, and run it."""
     program = folder.parent / Path(source).stem
-    sources = [RUNTIME / source, *folder.glob("*obs*.c"), *(folder / "runtime").glob("*.c")]
+    sources = [*folder.glob("*obs*.c"), *(folder / "runtime").glob("*.c")]
+    sanitizers = [flag for flag in flags if "sanitize" in flag]
+    objects = firmware_objects(sources, *sanitizers, includes=[folder, folder / "runtime"])
     includes = [f"-I{folder}", f"-I{folder / 'runtime'}", f"-I{folder / 'test'}"]
     kind = ["-DADAPTIVE"] if (folder / "fluxobs_adaptive.h").exists() else []
-    command = ["gcc", *STRICT, *kind, *flags, *includes, *sources, "-lm", "-pthread"]
-    subprocess.run([*map(str, command), "-o", str(program)], check=True)
+    options = [*STRICT, *kind, *flags, *includes, "-pthread"]
+    build_program(["gcc"], options, [RUNTIME / source, *objects], program)
     command = [str(program), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
@@ -176,15 +178,14 @@ def test_the_adaptive_observer_stays_within_its_arrays(tmp_path):
 
 
 def test_an_estimate_is_read_whole(folder):
-    run_in(folder, "snapshot.c", flags=("-O2",))
+    run_in(folder, "snapshot.c")
 
 
 @pytest.mark.parametrize("compiler", ["gcc", cross_compiler("arm-none-eabi-gcc")])
 @pytest.mark.parametrize("folder", [f"{ADAPTIVE},asymmetry"], indirect=True)
 def test_the_example_compiles(folder, compiler):
     source = ROOT / "examples" / "firmware" / "at_run_time" / "at_run_time.c"
-    command = [compiler, *STRICT, f"-I{folder}", f"-I{folder / 'runtime'}", "-c", source]
-    subprocess.run([*command, "-o", folder.parent / "example.o"], check=True)
+    compiled([compiler], [*STRICT, f"-I{folder}", f"-I{folder / 'runtime'}"], source)
 
 
 def test_sources_refuse_what_they_leave_out(folder):
@@ -210,15 +211,10 @@ def test_the_cpp_header_steps_the_same_observer(folder, compiler, standard):
     c_sources = [*folder.glob("*obs*.c"), *(folder / "runtime").glob("*.c")]
     includes = [f"-I{folder}", f"-I{folder / 'runtime'}", f"-I{folder / 'test'}"]
     kind = ["-DADAPTIVE"] if (folder / "fluxobs_adaptive.h").exists() else []
-    objects = []
-    for source in c_sources:
-        objects.append(folder.parent / f"{source.stem}.o")
-        command = ["gcc", *STRICT, *includes, "-c", source, "-o", objects[-1]]
-        subprocess.run(list(map(str, command)), check=True)
+    objects = firmware_objects(c_sources, includes=[folder, folder / "runtime"])
     flags = [f"-std={standard}", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
     flags += ["-fno-exceptions", "-fno-rtti", *kind, *includes]
-    command = [*compiler, *flags, RUNTIME / "wrapper.cpp", *objects, "-o", program]
-    subprocess.run(list(map(str, command)), check=True)
+    build_program(compiler, flags, [RUNTIME / "wrapper.cpp", *objects], program)
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 

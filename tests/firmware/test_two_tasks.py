@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import fluxobs
-from support.firmware import HARNESS
+from support.compiling import build_program
+from support.firmware import HARNESS, firmware_objects
 from support.records import COURSE_TIME, PMSM, course, wrapped_degrees
 
 #: The machine file's resistance is 40 % too large.
@@ -29,11 +30,9 @@ def build(tmp_path_factory):
 
     def made(name, *flags):
         program = folder.parent / name
-        sources = [HARNESS / "tasks.c", *sorted(folder.glob("fluxobs*.c"))]
-        command = ["gcc", "-std=c99", "-O2", "-ffp-contract=off", *flags, f"-I{folder}", *sources]
-        command += [folder / "motor_observer.c", "-lm", "-pthread", "-o", program]
-        subprocess.run(command, check=True)
-        return program
+        objects = firmware_objects(folder.glob("*obs*.c"), *flags)
+        options = ["-std=c99", "-O2", "-ffp-contract=off", *flags, f"-I{folder}", "-pthread"]
+        return build_program(["gcc"], options, [HARNESS / "tasks.c", *objects], program)
 
     return made
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
 from _pytest.mark import ParameterSet
+
+from .compiling import build_program, command, compiled
 
 ROOT = Path(__file__).parents[2]
 #: The C sources, and the programs that test them.
@@ -37,30 +39,23 @@ def cross_compiler(name: str) -> ParameterSet:
     )
 
 
+def firmware_objects(
+    sources: Iterable[Path], *flags: str, includes: Sequence[Path] = ()
+) -> list[Path]:
+    """Return the object files of firmware sources, compiled by GCC with the strict options.
+
+    Tests that need no other options share these objects.
+    """
+    options = [*STRICT, *flags, *(f"-I{folder}" for folder in includes)]
+    return [compiled(["gcc"], options, source) for source in sorted(sources)]
+
+
 @dataclass
 class Compiled:
-    """Exported folders, compiled into programs that replay a record.
-
-    Every folder must have the same observer source. This source is compiled once per compiler,
-    precision and options.
-    """
+    """Exported folders, compiled into programs that replay a record."""
 
     scratch: Path
-    objects: dict[tuple[object, ...], Path] = field(default_factory=dict)
     programs: dict[tuple[object, ...], Path] = field(default_factory=dict)
-
-    def observer(self, folder: Path, *command: str) -> Path:
-        source = (folder / "fluxobs.c").read_bytes()
-        headers = tuple(
-            (folder / n).read_bytes()
-            for n in ("fluxobs_real.h", "fluxobs_internal.h", "fluxobs_algebra.h")
-        )
-        key = (command, source, headers)
-        if key not in self.objects:
-            target = self.scratch / f"observer{len(self.objects)}.o"
-            subprocess.run([*command, "-c", folder / "fluxobs.c", "-o", target], check=True)
-            self.objects[key] = target
-        return self.objects[key]
 
     def program(
         self, folder: Path, compiler: Sequence[str], precision: str, extra: Sequence[str] = ()
@@ -69,12 +64,11 @@ class Compiled:
         key = (folder, *compiler, precision, *extra)
         if key not in self.programs:
             definition = f"-DFO_SINGLE={int(precision == 'single')}"
-            command = [*compiler, *STRICT, definition, *extra]
             target = self.scratch / f"replay{len(self.programs)}"
-            sources = [HARNESS / "replay.c", self.observer(folder, *command)]
+            sources = [HARNESS / "replay.c", folder / "fluxobs.c"]
             sources += [*folder.glob("fluxobs_map.c"), *folder.glob("*_observer.c")]
-            subprocess.run([*command, f"-I{folder}", *sources, "-lm", "-o", target], check=True)
-            self.programs[key] = target
+            options = [*STRICT, definition, *extra, f"-I{folder}"]
+            self.programs[key] = build_program(compiler, options, sources, target)
         return self.programs[key]
 
 
@@ -87,7 +81,11 @@ def replayed(program: Path, voltage: np.ndarray, current: np.ndarray) -> np.ndar
 
 
 def make_test(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run `make test` in an exported folder."""
+    """Run `make test` in an exported folder; sources that are known are not compiled again."""
+    compiler = [] if any(word.startswith("CC=") for word in arguments) else [f"CC={command()}"]
     return subprocess.run(
-        ["make", "-C", folder, "test", *arguments], capture_output=True, text=True, check=False
+        ["make", "-C", folder, "test", *compiler, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
     )

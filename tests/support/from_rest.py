@@ -12,7 +12,8 @@ from fluxobs.machines import InteriorPMSM, SynchronousReluctance
 
 from .at_rest import RATED_SPEED
 from .at_rest import H as SAMPLE_TIME
-from .firmware import HARNESS
+from .compiling import build_program
+from .firmware import HARNESS, firmware_objects
 
 #: R is assumed 20 % too large.
 RESISTANCE = 1.2
@@ -28,12 +29,12 @@ def build(
     unknowns = ("drift", "resistance", "inverter")
     fluxobs.export(given, SAMPLE_TIME, folder / "motor", unknowns=unknowns)
     motor, program = folder / "motor", folder / "at_rest"
-    sources = [HARNESS / "at_rest.c", *sorted(motor.glob("fluxobs*.c")), motor / "motor_observer.c"]
+    sources = [*motor.glob("*obs*.c")]
     sources += [motor / "runtime" / f"fluxobs_{name}.c" for name in ("inject", "seed")]
-    command = ["gcc", "-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror"]
-    command += [f"-I{motor}", f"-I{motor / 'runtime'}", *map(str, sources)]
-    subprocess.run([*command, "-lm", "-o", program], check=True)
-    return program
+    objects = firmware_objects(sources, includes=[motor, motor / "runtime"])
+    options = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror"]
+    options += [f"-I{motor}", f"-I{motor / 'runtime'}"]
+    return build_program(["gcc"], options, [HARNESS / "at_rest.c", *objects], program)
 
 
 def drive(
