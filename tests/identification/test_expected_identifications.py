@@ -1,19 +1,13 @@
 """Complete output of identifications: values, deviations, lines, tables, pictures."""
 
-import numpy as np
 import pytest
 
 import fluxobs
-from fluxobs.identification.report import html_of
 from fluxobs.machines import example
 from fluxobs.simulation.closed_form.demo import LOG
-from identification.test_map import START, TRUE
 from observers.test_cage import MACHINE, RAMPS, H, record
-from observers.test_maps import reluctance_record
-from support.expected import check
+from support.identified import check_identification
 from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
-
-PICTURE = "data:image/png"
 
 
 def by_default():
@@ -37,39 +31,15 @@ def a_salient_machine():
     return fluxobs.identify(log_columns(samples), machine, free="R_s,psi_f,inverter")
 
 
-def how_it_saturates():
-    columns = log_columns(reluctance_record(machine=TRUE))
-    return fluxobs.identify(columns, START, free="R_s,map")
-
-
 def a_rotor():
     voltage, current, _, _ = record(RAMPS)
     log = fluxobs.read_log((voltage, current), sample_time=H, lag=1.0)
     return fluxobs.identify(log, MACHINE.scaled(["R_R"], 1.5), free="R_s,R_R")
 
 
-IDENTIFICATIONS = (by_default, all_but_the_map, a_salient_machine, how_it_saturates, a_rotor)
+IDENTIFICATIONS = (by_default, all_but_the_map, a_salient_machine, a_rotor)
 
 
 @pytest.mark.parametrize("make", IDENTIFICATIONS, ids=lambda make: make.__name__)
 def test_output_of_an_identification(make, tmp_path):
-    identification = make()
-    page, _, rest = html_of(identification).partition(PICTURE)
-    output = {
-        "lines": identification.lines(),
-        "page": page,
-        "alt": rest.partition("alt=")[2],
-        "facts": identification.facts,
-        "picture": identification.plot(),
-    }
-    if identification.segment_fit is not None:
-        after = identification.segment_fit.after
-        output["values"] = {name: float(value) for name, value in after.values.items()}
-        stds = np.sqrt(np.diag(after.covariance))
-        output["std"] = dict(zip(after.free, stds, strict=True))
-        output["alike"] = after.alike
-    if identification.map is not None:
-        identification.write(tmp_path / "map.csv")
-        output["table"] = (tmp_path / "map.csv").read_text().splitlines()[::7]
-    # The iteration ends at a small share of the deviations; rounding differs between computers.
-    check(f"identification/{make.__name__}", output, share=1e-3)
+    check_identification(make.__name__, make(), tmp_path)

@@ -82,10 +82,10 @@ def test_a_log_that_does_not_fit_is_refused(rich, tmp_path):
     """Nothing is written: the machine is another one by far."""
     other = PMSM.with_values(L_s=8 * PMSM.L_s, psi_f=0.2 * PMSM.psi_f)
     with pytest.raises(FluxobsError, match="no parameter can be identified"):
-        identify(rich, other)
+        identify(read_log(rich.table.path, stop=0.8), other)
 
 
-@pytest.mark.parametrize("late", [0, 1])
+@pytest.mark.parametrize("late", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_finds_a_lag_and_all_others(late, rich, tmp_path):
     """A row's voltage acts `late` samples later than its row."""
     columns = pl.read_parquet(rich.table.path).to_dict(as_series=False)

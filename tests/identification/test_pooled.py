@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import partial
 
 import numpy as np
 import polars as pl
@@ -20,25 +21,34 @@ R_S, PSI_F = 1.1 * PMSM.R_s, 0.97 * PMSM.psi_f
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Write logs: six of one motor (once hot), one steady, one of another motor, one at rest."""
-    path = tmp_path_factory.mktemp("pooled")
+    return tmp_path_factory.mktemp("pooled")
 
-    def write(name, samples):
-        pl.DataFrame(log_columns(samples)).write_parquet(path / f"{name}.parquet")
 
-    for k in range(6):
-        R = R_S * (1.2 if k == 5 else 1 + 0.004 * (k - 2))
-        bias = 0.3 * np.exp(1j * k)
-        write(f"day{k}", course(R_s=R, psi_f=PSI_F, inverter=4.0, voltage_bias=bias, seed=k))
-    speed = profile((0, 236), (1.5, 236))
-    flat = np.full(len(speed), 4j)
-    write("steady", driven(PMSM, COURSE_TIME, speed, flat, R_s=R_S, psi_f=PSI_F, noise=0.02))
-    write("other", course(R_s=R_S, psi_f=0.8 * PMSM.psi_f, inverter=4.0))
-    write("still", driven(PMSM, COURSE_TIME, 0 * speed, flat, R_s=R_S, noise=0.02))
-    return path
+def day(k):
+    R = R_S * (1.2 if k == 5 else 1 + 0.004 * (k - 2))
+    bias = 0.3 * np.exp(1j * k)
+    return course(R_s=R, psi_f=PSI_F, inverter=4.0, voltage_bias=bias, seed=k)
+
+
+SPEED = profile((0, 236), (1.5, 236))
+FLAT = np.full(len(SPEED), 4j)
+#: Logs: six of one motor (once hot), one steady, one of another motor, one at rest.
+LOGS = {
+    **{f"day{k}": partial(day, k) for k in range(6)},
+    "steady": lambda: driven(PMSM, COURSE_TIME, SPEED, FLAT, R_s=R_S, psi_f=PSI_F, noise=0.02),
+    "other": lambda: course(R_s=R_S, psi_f=0.8 * PMSM.psi_f, inverter=4.0),
+    "still": lambda: driven(PMSM, COURSE_TIME, 0 * SPEED, FLAT, R_s=R_S, noise=0.02),
+}
+
+
+def write(folder, *names):
+    for name in names:
+        if name in LOGS and not (folder / f"{name}.parquet").exists():
+            pl.DataFrame(log_columns(LOGS[name]())).write_parquet(folder / f"{name}.parquet")
 
 
 def together(folder, *names, **options):
+    write(folder, *names)
     paths = [folder / f"{name}.parquet" for name in names]
     return identify_many(paths, PMSM, workers=1, scheduler="pool", **options)
 
@@ -85,6 +95,7 @@ def test_a_single_usable_log_is_not_compared(folder, tmp_path):
     days = [folder / "day1.parquet", copy]
     with pytest.raises(FluxobsError, match="all other logs are copies of this one"):
         identify_many(days, PMSM, workers=1, scheduler="pool")
+    write(folder, "day2")
     days.append(folder / "day2.parquet")
     pooled = identify_many(days, PMSM, workers=1, scheduler="pool")
     assert pooled.twice == {str(copy): str(folder / "day1.parquet")}
@@ -94,6 +105,7 @@ def test_a_single_usable_log_is_not_compared(folder, tmp_path):
 
 @pytest.mark.slow
 def test_the_command(folder, tmp_path):
+    write(folder, *LOGS)
     machine = tmp_path / "motor.toml"
     machine.write_text(machine_text(PMSM, ["A motor."], {}))
     done = fluxobs(
