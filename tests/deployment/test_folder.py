@@ -38,7 +38,7 @@ def test_make_test_in_the_folder(tmp_path, compiler):
     fluxobs.export(
         MACHINES["servo-400w"], 1e-4, tmp_path / "servo", prefix="servo", unknowns="drift"
     )
-    done = make_test(tmp_path / "servo", f"CC={' '.join(compiler)}")
+    done = make_test(tmp_path / "servo", f"CC={' '.join(compiler)}", "CFLAGS=-O2")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "single: 171 of 171 rows as expected" in done.stdout
     assert "double: 171 of 171 rows as expected" in done.stdout
@@ -64,7 +64,7 @@ def test_one_changed_value_fails(tmp_path, folders, name, pattern):
     end = re.search(pattern, text, re.DOTALL).end(1)
     digit = text[end - 1]
     path.write_text(text[: end - 1] + ("1" if digit != "1" else "2") + text[end:])
-    done = make_test(tmp_path / "motor", "CFLAGS=-O0")
+    done = make_test(tmp_path / "motor")
     assert done.returncode != 0
     assert "FAILED" in done.stdout
 
@@ -81,7 +81,7 @@ def test_the_last_digit_of_an_expected_angle_is_guarded(tmp_path, folders):
     )
     lines[row] = ", ".join(cells)
     path.write_text("\n".join(lines))
-    done = make_test(tmp_path / "motor", "CFLAGS=-O0")
+    done = make_test(tmp_path / "motor")
     assert done.returncode != 0
     assert "not those that were written" in done.stdout
 
@@ -155,7 +155,7 @@ def test_the_adaptive_observer_in_the_folder(tmp_path, name, unknowns):
         "motor_observer.c",
         "motor_observer.h",
     }
-    run = make_test(done.folder)
+    run = make_test(done.folder, "CFLAGS=-O2")
     assert run.returncode == 0, run.stdout + run.stderr
     for precision in ("single", "double"):
         assert f"{precision}: 171 of 171 rows as expected" in run.stdout

@@ -1,5 +1,7 @@
 """Block commutation: the floating phase is found, and its voltage is its back-EMF."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -53,8 +55,17 @@ def test_the_floating_phase_is_found_and_its_voltage_is_its_back_emf(name, float
     assert after < 0.035 * size
 
 
-@pytest.mark.parametrize("floating", ["measured", "zero", "mean"])
-@pytest.mark.parametrize("name", RUNS)
+#: Each run once, each voltage of the floating phase once; the other pairs are slow.
+QUICK = (("sinusoidal", "mean"), ("early", "measured"), ("trapezoidal", "zero"))
+
+
+@pytest.mark.parametrize(
+    ("name", "floating"),
+    [
+        pytest.param(*pair, marks=() if pair in QUICK else pytest.mark.slow)
+        for pair in itertools.product(RUNS, ("measured", "zero", "mean"))
+    ],
+)
 def test_the_estimate_is_right(name, floating):
     run = RUNS[name]
     result = fluxobs.estimate(run.record(floating), SERVO)

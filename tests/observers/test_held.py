@@ -109,16 +109,19 @@ def test_the_memory_holds_a_turn_at_a_quarter_of_the_speed():
     assert slow.memory_for(H) == pytest.approx(4 * 2 * np.pi / 1400)
 
 
+OPTIONS = {"sample_time": H, "unknowns": "drift", "causal": True}
+
+
 def test_whether_voltages_are_held_is_decided_per_log():
     samples = record(0.03)
     log = (samples.voltage, samples.current)
     results = {
-        held: fluxobs.estimate(log, DRONE, sample_time=H, lag=1.0, held=held, unknowns="drift")
+        held: fluxobs.estimate(log, DRONE, lag=1.0, held=held, **OPTIONS)
         for held in (None, True, False)
     }
     assert results[None].observer.held == results[True].observer.held == pytest.approx(0.25)
     assert results[False].observer.held == 0
-    half_sample_lag = fluxobs.estimate(log, DRONE, sample_time=H, lag=0.5, unknowns="drift")
+    half_sample_lag = fluxobs.estimate(log, DRONE, lag=0.5, **OPTIONS)
     assert half_sample_lag.observer.held == 0  # the voltage has kinks inside an interval
     assert results[None].observer.memory == pytest.approx(0.0056)  # from the speed of the log
 
