@@ -6,6 +6,7 @@
 # make pil    exported firmware on emulated microcontrollers, with instruction counts
 # make fuzz   corrupted logs for the readers; ten million arbitrary samples for the C sources
 # make bench  the benchmarks; each prints its numbers and the computer
+# make numbers  the benchmarks whose sources changed; writes their numbers into the docs
 # make docs   the documentation, in build/docs
 # make page   the page and the report template, in src/fluxobs/page
 
@@ -21,7 +22,7 @@ PAGE := src/fluxobs/page/page.html
 PAGE_SOURCES := $(wildcard web/*.py web/*.c web/*.json web/app/* web/runtime/*) binding/columns.h \
     $(shell find src/fluxobs -name '*.py')
 
-.PHONY: demo test slow check lint warnings misra sanitize hosts pil fuzz bench docs page clean
+.PHONY: demo test slow check lint warnings misra sanitize hosts pil fuzz bench numbers docs page clean
 
 demo: $(READY) $(PAGE)
 	$(BIN)/fluxobs demo --out fluxobs-demo
@@ -118,6 +119,10 @@ bench: $(READY)
 	        compare update_every adaptive random_drives stops heat jumps at_rest from_rest in_loop endurance mistakes maps identification planned_test plan readers page; do \
 	    $(BIN)/python benchmarks/$$script.py || exit 1; \
 	done
+
+numbers: $(READY) $(PAGE)
+	$(BIN)/python benchmarks/docs_numbers.py run
+	$(BIN)/python benchmarks/docs_numbers.py render
 
 $(VENV)/.docs: $(READY) pyproject.toml
 	$(BIN)/python -m pip install --quiet --group docs
