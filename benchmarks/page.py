@@ -1,6 +1,8 @@
 """The page and a report in a browser: sizes and waiting times.
 
 Needs `make page`, Chromium and playwright. The logs repeat the demo log with additional noise.
+With --size, it prints only the sizes of the built files and needs no browser; with --size --write,
+these go to docs/numbers/page_size.json.
 """
 
 import re
@@ -14,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from common import heading
-from playwright.sync_api import sync_playwright
+from numbers_data import Numbers
 
 import fluxobs
 from fluxobs.machines.files import example_text
@@ -22,6 +24,8 @@ from fluxobs.page import built
 from fluxobs.presentation.report import write_report
 
 PATIENCE = 300_000
+#: What page and report are made from, besides the modules of fluxobs.
+SOURCES = ("web/*.*", "web/app/*", "web/runtime/*", "src/fluxobs/**/*.py")
 
 
 def log(rows: int) -> pl.DataFrame:
@@ -101,11 +105,32 @@ def frame_rate(browser) -> float:
     return rate
 
 
+def size(name: str) -> float:
+    """Return the size of a built file [kB]."""
+    return len(built(name).encode("utf-8")) / 1e3
+
+
+def sizes() -> None:
+    """Print the sizes of the page and of the report without data."""
+    with Numbers("page_size", SOURCES) as numbers:
+        rows = [("page", "400 kB", f"{size('page.html'):.0f} kB")]
+        rows += [("report without data", "", f"{size('report.html'):.0f} kB")]
+        for name, _, reached in rows:
+            print(f"{name}: {reached}")
+        numbers.table("sizes", ("quantity", "required", "reached"), rows)
+        numbers.value("page", size("page.html"), "{:.0f} kB")
+        numbers.value("report", size("report.html"), "{:.0f} kB")
+
+
 def main() -> None:
     heading("page")
+    sizes()
+    if "--size" in sys.argv:
+        return
+    from playwright.sync_api import sync_playwright
+
     folder = Path(tempfile.mkdtemp())
     (folder / "page.html").write_text(built("page.html"), encoding="utf-8")
-    print(f"page: {(folder / 'page.html').stat().st_size / 1e3:.0f} kB")
     with sync_playwright() as started:
         browser = started.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
