@@ -1,8 +1,8 @@
 """Processor time of `fluxobs estimate` and `fluxobs check` on one log, imports included.
 
 The log is at 10 kHz: a servo oscillates between ±800 rad/s, with offsets and noise. Each run is a
-new process; the time of all its threads counts. With --write, the numbers go to
-docs/numbers/log_time.json.
+new process; the time of all its threads counts, and the fastest of three runs. With --write, the
+numbers go to docs/numbers/log_time.json.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hour import MACHINE
 from numbers_data import Numbers
 
 RATE = 10_000  # [Hz]
-RUNS = (("estimate", 10_000), ("estimate", 100_000), ("check", 40_000))
+RUNS, REPEATED = (("estimate", 10_000), ("estimate", 100_000), ("check", 40_000)), 3
 #: Logs of a fleet, of ten seconds each.
 LOGS = 100_000
 #: What the commands load.
@@ -42,8 +42,8 @@ def write_log(rows: int, path: Path) -> None:
     pl.DataFrame(columns).write_csv(path, float_precision=5)
 
 
-def times(command: str, rows: int) -> tuple[float, float]:
-    """Return the time of the processor and of a clock [s] for a command."""
+def times(command: str, rows: int) -> tuple[float, float, float]:
+    """Return the time of the processor and of a clock [s], and the size of the output [MB]."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_log(rows, folder / "log.csv")
@@ -57,19 +57,26 @@ def times(command: str, rows: int) -> tuple[float, float]:
         waited, after = time.perf_counter() - started, os.times()
         if done.returncode > 1:
             raise SystemExit(f"{' '.join(words)}: exit code {done.returncode}")
+        out = folder / "out.parquet"
+        size = out.stat().st_size / 1e6 if out.exists() else 0.0
     used = after.children_user + after.children_system
-    return used - before.children_user - before.children_system, waited
+    return used - before.children_user - before.children_system, waited, size
 
 
 def main() -> None:
     heading("One log at 10 kHz: time of a processor, imports included")
     with Numbers("log_time", SOURCES) as numbers:
         for command, rows in RUNS:
-            used, waited = times(command, rows)
+            used, waited, size = min(times(command, rows) for _ in range(REPEATED))
             print(f"    {command}, {rows} rows: {used:.1f} s, {waited:.1f} s by the clock")
             numbers.value(f"{command}_{rows}", used, "{:.1f} s" if used < 10 else "{:.0f} s")
-        estimated = numbers.values["estimate_100000"]["value"]
+            if command == "estimate":
+                numbers.value(f"{command}_{rows}_size", size, "{:.1f} MB")
+        estimated, size = (
+            numbers.values[key]["value"] for key in ("estimate_100000", "estimate_100000_size")
+        )
         numbers.value("fleet", float(f"{LOGS * estimated / 3600:.2g}"), "{:.0f} core-hours")
+        numbers.value("fleet_size", LOGS * size / 1e6, "{:.1f} TB")
 
 
 if __name__ == "__main__":
