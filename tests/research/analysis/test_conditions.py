@@ -150,13 +150,22 @@ def moving(system, seed, samples=400):
         signal = smooth(rng, t, len(low))
         states.append(low + (high - low) * (0.5 + 0.4 * np.tanh(signal)))
     flux, position = states
-    return flux, np.asarray(jax.vmap(system.current)(flux, position))
+    return flux, np.asarray(jax.jit(jax.vmap(system.current))(flux, position))
+
+
+#: Machines with one and with many relations, with and without invisible directions.
+QUICK = {"surface_pmsm", "five_phase_pmsm", "maglev_leakage", "three_coils"}
 
 
 @pytest.mark.parametrize(
     "make",
-    [make for make in LIBRARY if make.__name__ not in WITHOUT_RELATION],
-    ids=lambda make: make.__name__,
+    [
+        pytest.param(
+            make, id=make.__name__, marks=() if make.__name__ in QUICK else pytest.mark.slow
+        )
+        for make in LIBRARY
+        if make.__name__ not in WITHOUT_RELATION
+    ],
 )
 def test_the_certificate_sees_what_the_discovered_relations_see(make):
     system = make()

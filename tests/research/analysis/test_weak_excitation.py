@@ -61,11 +61,11 @@ def filtered_rotor(duration, h):
 
 def test_a_constant_bias_makes_the_error_of_a_slowing_rotor_grow():
     h = 0.05
-    t, Phi = filtered_rotor(2e5, h)
+    t, Phi = filtered_rotor(2e4, h)
     late = t > 20  # without the filters' transient
     t, Phi = t[late], Phi[late]
     free = np.linalg.norm(gradient_error(Phi, h, 0 * Phi, [1.0, -1.0]), axis=1)
-    ends = [2e2, 2e3, 2e4, 2e5]
+    ends = [2e2, 2e3, 2e4]
     reached = [free[t < end][-1] for end in ends]
     # A power of t: the same factor in every decade.
     factors = np.divide(reached[1:], reached[:-1])

@@ -1,5 +1,6 @@
 """Relations found only from energies, and two properties of every machine in the library."""
 
+from functools import cache
 from pathlib import Path
 
 import equinox as eqx
@@ -63,33 +64,25 @@ def test_every_machine_is_in_the_table():
     assert {make.__name__ for make in LIBRARY} == set(EXPECTED)
 
 
-#: Machines with many fluxes or relations, whose tests need much time.
-LONG = {
-    "wound_field",
-    "three_coils",
-    "four_pole_bearing",
-    "doubly_fed",
-    "five_phase_pmsm",
-    "saturated_switched_reluctance",
-    "switched_reluctance",
-    "surface_pmsm",
-    "interior_pmsm",
-}
+#: A machine with its relations is compiled once for all tests.
+system_of = cache(lambda make: make())
+discovered = cache(lambda make: discover_constraint(system_of(make)))
+#: One relation and a transformable machine; neither. Other tests use the other machines.
+QUICK = {"synchronous_reluctance", "maglev_1dof"}
 
 
 @pytest.mark.parametrize(
     "make",
     [
         pytest.param(
-            make, id=make.__name__, marks=pytest.mark.slow if make.__name__ in LONG else ()
+            make, id=make.__name__, marks=() if make.__name__ in QUICK else pytest.mark.slow
         )
         for make in LIBRARY
     ],
 )
 def test_relations_and_transformability(make):
     count, hidden, transformable = EXPECTED[make.__name__]
-    system = make()
-    discovery = discover_constraint(system)
+    system, discovery = system_of(make), discovered(make)
     assert len(discovery.relations) == count
     if count:
         assert discovery.margin > 1e9
@@ -118,7 +111,7 @@ def assert_proportional(relation: QuadraticConstraint, expected: QuadraticConstr
 def test_known_relations_are_found():
     (relation,) = discover_constraint(surface_pmsm(L_s=1e-3, psi_f=0.02)).relations
     assert_proportional(relation, SurfacePMSM(R_s=1, L_s=1e-3, n_p=4, psi_f=0.02).constraint)
-    (relation,) = discover_constraint(synchronous_reluctance()).relations
+    (relation,) = discovered(synchronous_reluctance).relations
     assert_proportional(
         relation, SynchronousReluctance(R_s=1, L_d=0.05, L_q=0.01, n_p=2).constraint
     )
@@ -149,7 +142,7 @@ def test_wound_field_relations_of_the_theory():
     L_d, L_q, L_F, M = 8e-3, 5e-3, 0.6, 0.05
     system = wound_field(L_d, L_q, L_F, M)
     flux, position = system.random_states(np.random.default_rng(2), 500)
-    i = np.asarray(jax.vmap(system.current)(flux, position))
+    i = np.asarray(jax.jit(jax.vmap(system.current))(flux, position))
     x, i_s, i_F = np.asarray(flux)[:, :2], i[:, :2], i[:, 2]
     P = np.asarray(flux)[:, 2] - L_F * i_F
     first = np.sum((x - L_q * i_s) * (x - L_d * i_s), axis=1)
@@ -167,7 +160,7 @@ def test_wound_field_relations_of_the_theory():
 
 def test_a_cage_machine_has_no_relation():
     """If the rotor ports are not measured, the stator ports alone obey no relation."""
-    discovery = discover_constraint(doubly_fed(), ports=(0, 1))
+    discovery = discover_constraint(system_of(doubly_fed), ports=(0, 1))
     assert not discovery
     assert discovery.smallest > 1e-3
 
@@ -178,10 +171,10 @@ def test_higher_relations_state_their_degree_in_flux():
     # λ1 i2 i3 + λ2 i1 i3 + λ3 i1 i2 = 3 L_0 i1 i2 i3
     assert linear.degree == 3
     np.testing.assert_allclose(np.sort(linear.coefficients), [-0.03, 1, 1, 1], rtol=1e-9)
-    (quartic,) = discover_constraint(interior_pmsm(), degree=4).higher
+    (quartic,) = discover_constraint(system_of(interior_pmsm), degree=4).higher
     assert (quartic.degree, quartic.degree_in_flux) == (4, 4)
     for make in (maglev_1dof, saturated_switched_reluctance):
-        assert not discover_constraint(make(), degree=4).higher
+        assert not discover_constraint(system_of(make), degree=4).higher
 
 
 def phase_features(variable, names):
@@ -250,21 +243,21 @@ def test_a_higher_relation_beside_a_quadratic_one():
 
 
 def test_products_of_quadratic_relations_are_not_reported():
-    discovery = discover_constraint(surface_pmsm(), degree=3)
+    discovery = discover_constraint(system_of(surface_pmsm), degree=3)
     assert len(discovery.relations) == 1
     assert not discovery.higher
 
 
 def test_a_failed_check_states_residual_and_state():
     right = SurfacePMSM(R_s=1, L_s=0.6e-3, n_p=4, psi_f=0.0125).constraint
-    assert check_constraint(surface_pmsm(), right) < 1e-12
+    assert check_constraint(system_of(surface_pmsm), right) < 1e-12
     wrong = SurfacePMSM(R_s=1, L_s=0.7e-3, n_p=4, psi_f=0.0125).constraint
     with pytest.raises(
         ModelError, match=r"does not hold: relative residual .* at flux \[.*position"
     ):
-        check_constraint(surface_pmsm(), wrong)
+        check_constraint(system_of(surface_pmsm), wrong)
     with pytest.raises(ModelError, match="the relation has 2 ports, the system has 4"):
-        check_constraint(doubly_fed(), right)
+        check_constraint(system_of(doubly_fed), right)
 
 
 @pytest.mark.parametrize(
@@ -277,7 +270,7 @@ def test_a_failed_check_states_residual_and_state():
 )
 def test_bad_arguments(arguments, message):
     with pytest.raises(ModelError, match=message):
-        discover_constraint(surface_pmsm(), **arguments)
+        discover_constraint(system_of(surface_pmsm), **arguments)
 
 
 def partly_undefined(flux, position):
@@ -343,8 +336,10 @@ def test_an_approximate_relation_is_reported_with_size_and_remedy(make, size, re
     assert not discovery.relations
     assert discovery.approximate[0].size == pytest.approx(size, rel=0.5)
     assert remedy in discovery.warning
-    # Far from these values, no relation is doubtful.
-    for clear in (interior_pmsm(), one_coil(0.8)):
+
+
+def test_far_from_these_values_no_relation_is_doubtful():
+    for clear in (system_of(interior_pmsm), one_coil(0.8)):
         assert discover_constraint(clear).warning == ""
 
 
@@ -390,11 +385,11 @@ def test_a_machine_instead_of_a_system():
     ):
         discover_constraint(example("servo-400w"))
     with pytest.raises(ModelError, match="no relation to check"):
-        check_constraint(surface_pmsm(), ())
+        check_constraint(system_of(surface_pmsm), ())
 
 
 def test_relations_together_leave_fewer_invisible_directions():
-    relations = discover_constraint(doubly_fed()).relations
+    relations = discovered(doubly_fed).relations
     alone = [invisible_offsets([relation]).shape[1] for relation in relations]
     assert max(alone) > invisible_offsets(relations).shape[1] == 0
 
@@ -402,7 +397,7 @@ def test_relations_together_leave_fewer_invisible_directions():
 def test_blondel_park_satisfies_the_matrix_identity():
     """U of the interior PMSM satisfies L′ = U L - L U and μ′ = U μ."""
     L_d, L_q, psi, n_p = 0.2e-3, 0.5e-3, 0.07, 4
-    U = blondel_park(interior_pmsm()).U[0]
+    U = blondel_park(system_of(interior_pmsm)).U[0]
     angle = 0.7
     cos, sin = np.cos(n_p * angle), np.sin(n_p * angle)
     turn = np.array([[cos, -sin], [sin, cos]])

@@ -1,5 +1,8 @@
 """Position from flux and current over the library: both sides of Theorem 7 (docs/theorems.md)."""
 
+from functools import cache
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +13,7 @@ from fluxobs.research.analysis import relation_gradients
 from fluxobs.research.energies.library import (
     LIBRARY,
     four_pole_bearing,
+    interior_pmsm,
     knospe,
     surface_pmsm,
     synchronous_reluctance,
@@ -34,22 +38,39 @@ EXPECTED = {
     "doubly_fed": (1, 2),
     "four_pole_bearing": (2, 1),
 }
-NAMES = [make.__name__ for make in LIBRARY]
+
+#: A machine is compiled once for all tests.
+system_of = cache(lambda make: make())
 
 
-@pytest.mark.parametrize("make", LIBRARY, ids=NAMES)
+def machines(*quick, without=()):
+    """Return parameters for the machines of the library; all but `quick` are slow."""
+    return [
+        pytest.param(
+            make,
+            id=make.__name__,
+            marks=() if make.__name__ in quick else pytest.mark.slow,
+        )
+        for make in LIBRARY
+        if make.__name__ not in without
+    ]
+
+
+@pytest.mark.parametrize(
+    "make", machines("surface_pmsm", "synchronous_reluctance", "maglev_1dof", "four_pole_bearing")
+)
 def test_every_coordinate_of_the_library_is_visible(make):
-    system = make()
+    system = system_of(make)
     got = position_visibility(system)
     at_rest, positions = EXPECTED.get(make.__name__, (1, 1))
     assert (got.visible, got.relations) == (system.n_M, system.n_E - system.n_M)
     assert (got.at_rest, got.positions) == (at_rest, positions)
 
 
-@pytest.mark.parametrize("make", LIBRARY, ids=NAMES)
+@pytest.mark.parametrize("make", machines("maglev_1dof", "four_pole_bearing"))
 def test_the_flux_acts_on_the_coordinates_that_the_current_shows(make):
     """∂F/∂λ = -(∂i/∂q)ᵀ, and q̇ follows from the rates of flux and current."""
-    system = make()
+    system = system_of(make)
     speed = jnp.linspace(0.5, -1.0, system.n_M) * (1e-3 if "Mag" in system.name else 1.0)
 
     @jax.jit
@@ -69,19 +90,17 @@ def test_the_flux_acts_on_the_coordinates_that_the_current_shows(make):
 
 
 @pytest.mark.parametrize(
-    "make",
-    [make for make in LIBRARY if make.__name__ not in WITHOUT_RELATION],
-    ids=[name for name in NAMES if name not in WITHOUT_RELATION],
+    "make", machines("surface_pmsm", "four_pole_bearing", without=WITHOUT_RELATION)
 )
 def test_relations_and_visible_coordinates_share_the_ports(make):
     """∇_i w is orthogonal to ∂i/∂q: independent relations + visible coordinates ≤ ports."""
-    system = make()
+    system = system_of(make)
     relations = discover_constraint(system).relations
     flux, q = system.random_states(np.random.default_rng(2), 8)
-    current = np.asarray(jax.vmap(system.current)(flux, q))
+    current = np.asarray(jax.jit(jax.vmap(system.current))(flux, q))
     _, by_current = relation_gradients(relations, flux, current)
-    for k in range(len(flux)):
-        slope = np.asarray(current_by_position(system, flux[k], q[k]))
+    slopes = jax.jit(jax.vmap(lambda *state: current_by_position(system, *state)))(flux, q)
+    for k, slope in enumerate(np.asarray(slopes)):
         products = by_current[k] @ slope
         size = np.linalg.norm(by_current[k], axis=1)[:, None] * np.linalg.norm(slope, axis=0)
         assert np.abs(products / size).max() < 1e-7
@@ -90,13 +109,17 @@ def test_relations_and_visible_coordinates_share_the_ports(make):
     assert rank == system.n_E - system.n_M
 
 
-@pytest.mark.parametrize("make", [synchronous_reluctance, knospe, four_pole_bearing])
+@pytest.mark.parametrize(
+    "make",
+    [synchronous_reluctance, four_pole_bearing, pytest.param(knospe, marks=pytest.mark.slow)],
+)
 def test_ripples_of_a_machine_without_magnets_show_the_flux_without_its_parameters(make):
     """At rest, λᵀΔi = iᵀΔλ, because the inductances are symmetric."""
-    system = make()
-    flux, q = (values[0] for values in system.random_states(np.random.default_rng(8), 1))
-    ripple = 0.03 * flux * jnp.cos(jnp.arange(system.n_E))
-    current, rippled = system.current(flux, q), system.current(flux + ripple, q)
+    system = system_of(make)
+    flux, q = (np.asarray(x)[0] for x in system.random_states(np.random.default_rng(8), 1))
+    ripple = 0.03 * flux * np.cos(np.arange(system.n_E))
+    current_at = jax.jit(lambda *state: system.current(*state))
+    current, rippled = (np.asarray(current_at(x, q)) for x in (flux, flux + ripple))
     assert flux @ (rippled - current) == pytest.approx(float(current @ ripple), rel=1e-9)
 
 
@@ -112,27 +135,29 @@ def test_a_coordinate_without_force_is_invisible():
     got = position_visibility(system)
     assert (got.visible, got.relations, got.at_rest, got.positions) == (1, 1, 1, 0)
     flux, q = system.random_states(np.random.default_rng(0), 1)
-    np.testing.assert_array_equal(jax.jacfwd(lambda x: system.force(x, q[0]))(flux[0])[1], 0)
+    slope = jax.jit(jax.jacfwd(system.force))(flux[0], q[0])
+    np.testing.assert_array_equal(slope[1], 0)
 
 
 def test_the_ripple_at_rest_shows_the_inductance_at_constant_current():
     """Central differences of K at a displaced position whose flux gives the same current."""
-    system = next(make for make in LIBRARY if make.__name__ == "interior_pmsm")()
-    flux, q = (values[0] for values in system.random_states(np.random.default_rng(4), 1))
-    current = system.current(flux, q)
+    system = system_of(interior_pmsm)
+    flux, q = (np.asarray(x)[0] for x in system.random_states(np.random.default_rng(4), 1))
+    # The current at a flux, and its slope.
+    linear = jax.jit(lambda *at: (system.current(*at), jax.jacfwd(system.current)(*at)))
+    current, _ = linear(flux, q)
 
     def K(q):
         moved = flux
         for _ in range(20):
-            slope = jax.jacfwd(lambda x: system.current(x, q))(moved)
-            moved = moved - jnp.linalg.solve(slope, system.current(moved, q) - current)
-        return jax.jacfwd(lambda x: system.current(x, q))(moved)
+            there, slope = linear(moved, q)
+            moved = moved - np.linalg.solve(slope, there - current)
+        return np.asarray(linear(moved, q)[1])
 
     step = 1e-5
     expected = (K(q + step) - K(q - step)) / (2 * step)
-    got = inverse_inductance_by_position(system, flux, q)[..., 0]
+    by_position = eqx.filter_jit(inverse_inductance_by_position)
+    got = by_position(system, flux, q)[..., 0]
     np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
-    round_machine = inverse_inductance_by_position(
-        surface_pmsm(), jnp.array([0.1, 0.2]), jnp.array([0.3])
-    )
+    round_machine = by_position(system_of(surface_pmsm), jnp.array([0.1, 0.2]), jnp.array([0.3]))
     assert np.abs(round_machine).max() < 1e-9

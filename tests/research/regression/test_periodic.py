@@ -10,6 +10,7 @@ from fluxobs.machines.model.constraint import QuadraticConstraint
 from fluxobs.research.regression import (
     FilteredRegression,
     Orbit,
+    Parametrisation,
     between,
     periodic_regression,
     residual,
@@ -35,7 +36,7 @@ def sampled(t):
         (flux, current), (rate, _) = jax.jvp(signals, (t,), (jnp.ones_like(t),))
         return flux, rate - DRIFT, current + BIAS
 
-    return (np.asarray(values) for values in jax.vmap(measured)(jnp.asarray(t)))
+    return (np.asarray(values) for values in jax.jit(jax.vmap(measured))(jnp.asarray(t)))
 
 
 def test_the_regression_holds_to_rounding():
@@ -44,6 +45,18 @@ def test_the_regression_holds_to_rounding():
     rows = periodic_regression(RELATION, CORNER, Orbit(PERIOD, y_m, current))
     error = np.asarray(residual(rows, RELATION, flux, DRIFT, BIAS))
     assert np.abs(error).max() < 1e-12 * np.abs(rows.y).max()
+
+
+def test_the_constants_of_a_voltage_bias_explain_it():
+    """These measurements are also those of the flux λ + L δ without a bias of the current."""
+    flux, y_m, current = sampled(PERIOD * np.arange(256) / 256)
+    rows = periodic_regression(RELATION, CORNER, Orbit(PERIOD, y_m, current))
+    constants = Parametrisation(RELATION, "voltage-bias", CORNER)
+    assert len(constants) == 3
+    theta = constants.constants(DRIFT, np.zeros(2))
+    explained = np.einsum("ki,ki->k", rows.Phi_flux, flux + L * BIAS)
+    explained += constants.record(rows) @ theta
+    assert np.abs(explained - rows.y).max() < 1e-12 * np.abs(rows.y).max()
 
 
 def test_the_filters_converge_to_it():

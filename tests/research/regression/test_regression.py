@@ -159,6 +159,7 @@ def test_parametrisations_reproduce_y(name, kind):
     assert np.abs(explained - rows.y).max() < 1e-9 * np.abs(rows.y).max()
 
 
+@pytest.mark.slow
 def test_voltage_bias_parametrisation_is_exact_without_current_bias():
     case, rows, flux = continuous("pmsm")
     constants = Parametrisation(case.constraint, "voltage-bias", CORNERS["pmsm"])
