@@ -124,7 +124,7 @@ def test_wrong_names_are_refused():
 
 
 def test_points_use_the_borrowed_course(monkeypatch):
-    monkeypatch.setattr(simulated_module, "LANES", 8)
+    monkeypatch.setattr(simulated_module, "LANES", 4)
     course = {"duration": 0.2, "score_from": 0.05, "speeds": [0.5, 1.0], "ramp": 0.1}
     evaluate = evaluator(specification(course=course), "servo-400w", "plain")
     evaluated = evaluate(np.zeros((3, 4)), [5, 5, 6])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -31,18 +32,34 @@ def scheduler(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
-def test_every_task_once(scheduler: str) -> None:
-    results = sorted(compute(range(50), tasks.square, 2, scheduler))
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    """A Dask cluster whose workers are threads: they start at once."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(params=["pool", "address"])
+def running(request: pytest.FixtureRequest) -> str:
+    """The pool, or the address of a cluster that is running."""
+    return "pool" if request.param == "pool" else str(request.getfixturevalue("address"))
+
+
+def test_every_task_once(running: str) -> None:
+    results = sorted(compute(range(50), tasks.square, 2, running))
     assert results == [(k, k * k) for k in range(50)]
 
 
-def test_no_tasks(scheduler: str) -> None:
-    assert list(compute([], tasks.square, 2, scheduler)) == []
+def test_no_tasks(running: str) -> None:
+    assert list(compute([], tasks.square, 2, running)) == []
 
 
-def test_an_error_in_a_task_reaches_the_driver(scheduler: str) -> None:
+def test_an_error_in_a_task_reaches_the_driver(running: str) -> None:
     with pytest.raises(FluxobsError, match="no room for 7"):
-        list(compute(range(10), tasks.refuse_seven, 2, scheduler))
+        list(compute(range(10), tasks.refuse_seven, 2, running))
 
 
 def test_a_task_that_kills_its_worker_once_is_done_again(scheduler: str, tmp_path: Path) -> None:
