@@ -64,7 +64,8 @@ def sources(folder):
 def test_every_form_of_a_log_gives_the_same_numbers(tmp_path):
     expected = None
     for name, (source, options) in sources(tmp_path).items():
-        estimates = fluxobs.estimate(source, SERVO, **options).estimates
+        # What an estimate does with the rows is tested elsewhere; forwards is quicker.
+        estimates = fluxobs.estimate(source, SERVO, causal=True, **options).estimates
         expected = estimates if expected is None else expected
         assert estimates.columns == expected.columns, name
         exact = name not in ("three phases", "mixed", "abc")  # the Clarke transform rounds

@@ -26,6 +26,12 @@ def samples():
     return fast_run()
 
 
+@pytest.fixture(scope="module")
+def usual(samples):
+    """The estimate with the lag stated and the usual priors."""
+    return fluxobs.estimate(log_columns(samples), SERVO, lag=0)
+
+
 @pytest.mark.parametrize(("lag", "columns"), [(0.0, dict), (-1.0, late)])
 def test_a_log_with_load_steps_determines_the_lag(samples, lag, columns):
     result = fluxobs.estimate(columns(log_columns(samples)), SERVO)
@@ -100,9 +106,8 @@ def test_a_lag_in_the_options_or_in_the_record_is_not_learnt(samples):
 # ---- priors -------------------------------------------------------------------------------------
 
 
-def test_a_known_quantity_leaves_the_budget(samples):
+def test_a_known_quantity_leaves_the_budget(samples, usual):
     columns = log_columns(samples)
-    usual = fluxobs.estimate(columns, SERVO, lag=0)
     known = fluxobs.estimate(columns, SERVO, lag=0, priors={"lag": 0, "harmonics": 0, "L_d": 0.01})
     by_name = [{c.name: c.std for c in result.budget.contributions} for result in (usual, known)]
     assert by_name[1]["lag"] == by_name[1]["harmonics"] == 0
@@ -110,10 +115,9 @@ def test_a_known_quantity_leaves_the_budget(samples):
     assert known.budget.std < usual.budget.std
 
 
-def test_nothing_is_advised_that_is_stated_already(samples):
+def test_nothing_is_advised_that_is_stated_already(samples, usual):
     columns = log_columns(samples)
-    advised = fluxobs.estimate(columns, SERVO, lag=0).budget.advice
-    assert "measure the inductances" in advised
+    assert "measure the inductances" in usual.budget.advice
     stated = SERVO.with_values(L_s_std=0.1 * SERVO.L_s)
     assert "inductances" not in fluxobs.estimate(columns, stated, lag=0).budget.advice
 
