@@ -1,5 +1,6 @@
 # make demo   estimates of a shipped log: summary, table, picture
 # make test   the tests, without the slow ones
+# make test-times  the same, and the 30 slowest
 # make slow   the tests that take long and rarely fail
 # make check  lint, types, and the C sources with all warnings, MISRA and the sanitizers
 # make hosts  the observer in motulator's closed loop; needs Python 3.12
@@ -18,20 +19,26 @@ READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | 
 FIRMWARE := $(wildcard firmware/*.c)
 SOURCES := CMakeLists.txt pyproject.toml $(wildcard binding/*) $(wildcard smoothing/*) $(FIRMWARE) $(wildcard firmware/*.h)
 
+# The tests of a file run in one process: they share its fixtures and what JAX has compiled.
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+
 PAGE := src/fluxobs/page/page.html
 PAGE_SOURCES := $(wildcard web/*.py web/*.c web/*.json web/app/* web/runtime/*) binding/columns.h \
     $(shell find src/fluxobs -name '*.py')
 
-.PHONY: demo test slow check lint warnings misra sanitize hosts pil fuzz bench numbers docs page clean
+.PHONY: demo test test-times slow check lint warnings misra sanitize hosts pil fuzz bench numbers docs page clean
 
 demo: $(READY) $(PAGE)
 	$(BIN)/fluxobs demo --out fluxobs-demo
 
 test: $(READY) $(PAGE)
-	$(BIN)/python -m pytest -n auto --dist worksteal
+	$(PYTEST)
+
+test-times: $(READY) $(PAGE)
+	$(PYTEST) --durations=30 --durations-min=0.1
 
 slow: $(READY) $(PAGE)
-	$(BIN)/python -m pytest -n auto --dist worksteal -m slow
+	$(PYTEST) -m slow
 
 $(READY): $(SOURCES)
 	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "Python 3.11 or newer is needed"'

@@ -26,7 +26,7 @@ from fluxobs.machines.files import example_text
 from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs as command
 
-HALF = 2500
+HALF = 1200
 
 
 @pytest.fixture
