@@ -307,7 +307,7 @@ def test_a_new_kind_is_one_class(monkeypatch, tmp_path):
         new = fluxobs.estimate(LOG, machine, unknowns=unknowns, stop=0.2)
         old = fluxobs.estimate(LOG, servo, unknowns=unknowns, stop=0.2)
         assert new.estimates.equals(old.estimates, null_equal=True)
-    new, old = (fluxobs.identify(LOG, kind, stop=0.4).machine for kind in (machine, servo))
+    new, old = (fluxobs.identify(LOG, kind, stop=0.2).machine for kind in (machine, servo))
     assert new.R_s == old.R_s
     exported = fluxobs.export(machine, 1e-4, tmp_path / "out", unknowns="drift")
     assert (
