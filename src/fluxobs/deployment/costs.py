@@ -9,7 +9,7 @@ from typing import Any
 
 
 def read_costs() -> dict[str, Any]:
-    """Return the counts that `make pil --update` wrote."""
+    """Return the counts that `tests/firmware/processor/replay.py --write` wrote."""
     text = (resources.files(__package__) / "costs.json").read_text(encoding="utf-8")
     costs: dict[str, Any] = json.loads(text)
     return costs

@@ -1,27 +1,24 @@
-"""Read and write the tables in docs/firmware.md, between two comments with their name."""
+"""Results of these scripts as data, from which the docs take their numbers."""
 
 from __future__ import annotations
 
+import re
+import sys
 from pathlib import Path
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "firmware.md"
+ROOT = Path(__file__).resolve().parents[3]
+sys.path.append(str(ROOT / "benchmarks"))
+
+from numbers_data import Numbers, read  # noqa: E402
+
+__all__ = ["SOURCES", "Numbers", "add_table", "read"]
+
+#: What moves the numbers, besides the modules of fluxobs and the C sources.
+SOURCES = ("tests/firmware/processor/*.*", "src/fluxobs/deployment/templates/c/*")
 
 
-def _parts(name: str) -> tuple[str, str, str]:
-    text = PAGE.read_text(encoding="utf-8")
-    before, start, rest = text.partition(f"<!-- {name} -->\n")
-    now, end, after = rest.partition(f"\n<!-- /{name} -->")
-    if not (start and end):
-        raise SystemExit(f"{PAGE}: the comments of the table {name} are missing")
-    return before + start, now, end + after
-
-
-def read(name: str) -> str:
-    """Return the table in the page."""
-    return _parts(name)[1]
-
-
-def write(name: str, table: str) -> None:
-    """Replace the table in the page."""
-    before, _, after = _parts(name)
-    PAGE.write_text(before + table + after, encoding="utf-8")
+def add_table(numbers: Numbers, key: str, markdown: str) -> None:
+    """Keep a table that is printed as Markdown; lines below it are ignored."""
+    lines = [line for line in markdown.split("\n") if line.startswith("|")]
+    header, _, *rows = ([cell.strip() for cell in re.split(r"\|", line)[1:-1]] for line in lines)
+    numbers.table(key, header, rows)

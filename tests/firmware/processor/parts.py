@@ -1,7 +1,7 @@
 """Instructions and bytes of each part of the plain observer.
 
     python tests/firmware/processor/parts.py           # prints the table
-    python tests/firmware/processor/parts.py --update  # writes docs/firmware.md
+    python tests/firmware/processor/parts.py --write   # writes docs/numbers/parts.json
 
 Instructions are the mean of a sample on an emulated Cortex-M4F, -O2. Bytes are those of the code,
 -Os. The compiler's debugging information states from which function of the source an instruction
@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-import in_docs
+from in_docs import SOURCES, Numbers, add_table
 from longest import calls
 from replay import BUILDS, KINDS, MACHINE, MEMORY, SAMPLE_TIME, STEPS, compile_for
 
@@ -166,8 +166,8 @@ def sizes(folder: Path) -> Counter[str]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--update", action="store_true", help="write docs/firmware.md")
-    options = parser.parse_args()
+    parser.add_argument("--write", action="store_true", help="write docs/numbers/parts.json")
+    parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "motor"
         machine = fluxobs.read_machine(MACHINE)
@@ -185,9 +185,8 @@ def main() -> int:
     ]
     table = "\n".join(["| | instructions | bytes | purpose |", "|---|---|---|---|", *rows])
     print(table)
-    if options.update:
-        in_docs.write("parts", table)
-        print(f"Written: {in_docs.PAGE}")
+    with Numbers("parts", SOURCES) as numbers:
+        add_table(numbers, "tasks", table)
     return 0
 
 

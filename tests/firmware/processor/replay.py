@@ -5,7 +5,7 @@ vectors under QEMU. Compares the outputs with the library's numbers, and prints 
 sample.
 
     python tests/firmware/processor/replay.py           # prints which tools are missing
-    python tests/firmware/processor/replay.py --update  # writes the costs into the package
+    python tests/firmware/processor/replay.py --write   # writes the costs into package and docs
 
 Instructions are counted, not timed: with ``-icount shift=10`` every instruction lasts 1024 ns of
 virtual time. The processor's SysTick timer runs on virtual time and is read before and after each
@@ -27,8 +27,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import in_docs
 import numpy as np
+from in_docs import SOURCES, Numbers, add_table
 from longest import bound
 
 import fluxobs
@@ -277,7 +277,7 @@ def print_shares(
     )
 
 
-def measure_maps() -> bool:
+def measure_maps(numbers: Numbers) -> bool:
     """Print the instructions that maps add to a sample; return whether a look-up has too many."""
     model = AlgebraicSaturation(a_d0=17.4, a_dd=373, a_q0=52.1, a_qq=658, a_dq=1120)
     machines = {
@@ -297,6 +297,8 @@ def measure_maps() -> bool:
         f"plain, {BUILDS[0].name}: a linear map adds {linear:.0f} instructions, a table "
         f"{table:.0f} more"
     )
+    numbers.value("linear_map", linear, "{:.0f}")
+    numbers.value("look_up", table, "{:.0f}")
     if table > LOOK_UP:
         print(f"FAILED: a look-up in a table may add at most {LOOK_UP} instructions")
     return bool(table > LOOK_UP)
@@ -328,7 +330,7 @@ def measure_configuring() -> bool:
     return failed
 
 
-def measure_injecting() -> bool:
+def measure_injecting(numbers: Numbers) -> bool:
     """Print the costs of the injector; return whether it costs too many instructions."""
     with tempfile.TemporaryDirectory() as scratch:
         folder, build = Path(scratch) / "motor", BUILDS[0]
@@ -352,15 +354,35 @@ def measure_injecting() -> bool:
         f"fo_inject, {build.name}: at most {searching} instructions while it searches, "
         f"{running} while the observer runs; {code} bytes"
     )
+    numbers.value("injector_searching", searching)
+    numbers.value("injector_running", running)
+    numbers.value("injector_code", code / 1e3, "{:.1f} KB")
     if rc != 0 or running > INJECTING:
         print(f"FAILED: the injector may cost at most {INJECTING} instructions")
         return True
     return False
 
 
+def record(costs: dict[str, Any], numbers: Numbers) -> None:
+    """Keep the numbers of the docs."""
+    for kind, cost in costs.items():
+        add_table(numbers, kind, (task_table if kind == "tasks" else cost_table)(cost))
+        numbers.value(f"{kind}_parameters", cost["parameters"], "{} bytes")
+        build = cost["builds"][0]
+        for name in ("mean", "most"):
+            numbers.value(f"{kind}_{name}", build[name])
+        for name in ("state", "stack"):
+            numbers.value(f"{kind}_{name}", build[name] / 1e3, "{:.1f} KB")
+    numbers.value("compiler", costs["plain"]["compiler"])
+    means = [costs[kind]["builds"][0]["mean"] for kind in ("adaptive", "plain")]
+    reached = "{} (plain {})".format(*means)
+    row = ("instructions on a Cortex-M4F, for the record of `make pil`", "3000", reached)
+    numbers.table("adaptive_reached", ("quantity", "required", "reached"), [row])
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--update", action="store_true", help="write costs.json and docs")
+    parser.add_argument("--write", action="store_true", help="write costs.json, docs/numbers")
     options = parser.parse_args()
     missing = [package for tool, package in TOOLS.items() if shutil.which(tool) is None]
     if missing:
@@ -375,20 +397,17 @@ def main() -> int:
     for kind, unknowns in KINDS.items():
         costs[kind], bad = measure(kind, unknowns, compiler)
         failed = failed or bad
-    failed = measure_maps() or failed
-    failed = measure_configuring() or failed
-    failed = measure_injecting() or failed
-    if options.update:
+    with Numbers("processor", SOURCES) as numbers:
+        failed = measure_maps(numbers) or failed
+        failed = measure_configuring() or failed
+        failed = measure_injecting(numbers) or failed
+        record(costs, numbers)
+    if options.write:
         target = ROOT / "src" / "fluxobs" / "deployment" / "costs.json"
         target.write_text(json.dumps(costs, indent=1) + "\n", encoding="utf-8")
-        for kind, cost in costs.items():
-            table = f"{cost_table(cost)} The parameters, {cost['parameters']} bytes, stay in flash."
-            if kind == "tasks":
-                table = task_table(cost)
-            in_docs.write(f"costs: {kind}", table)
-        print(f"Written: {target} and {in_docs.PAGE}")
+        print(f"Written: {target}")
     elif not failed and read_costs() != costs:
-        print("These costs differ from those in the package; run with --update, for the docs too")
+        print("These costs differ from those in the package; run with --write, for the docs too")
         failed = read_costs()["plain"]["compiler"] == compiler  # other compilers give other numbers
     return 1 if failed else 0
 

@@ -1,7 +1,7 @@
 """Sizes of the exported folder on every usual processor: code, state, parameters and stack.
 
     python tests/firmware/processor/targets.py           # omits processors without a compiler
-    python tests/firmware/processor/targets.py --update  # writes docs/firmware.md
+    python tests/firmware/processor/targets.py --write   # writes docs/numbers/targets.json
 
 Code is the part of the sources that a linker keeps for a program that calls fo_reset and fo_step,
 without the C library; for WebAssembly it is the module. Stack is the deepest path of calls within
@@ -20,7 +20,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import in_docs
+from in_docs import SOURCES, Numbers, add_table, read
 
 import fluxobs
 from fluxobs.deployment.forms.build import zig
@@ -157,8 +157,8 @@ def deepest(made: Path, start: str) -> int:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--update", action="store_true", help="write docs/firmware.md")
-    options = parser.parse_args()
+    parser.add_argument("--write", action="store_true", help="write docs/numbers/targets.json")
+    parser.parse_args()
     rows, missing = [], []
     with tempfile.TemporaryDirectory() as scratch:
         for kind, unknowns in KINDS.items():
@@ -180,11 +180,11 @@ def main() -> int:
     print(table)
     if missing:
         print(f"Compilers are missing for {', '.join(missing)}")
-    if options.update and not missing:
-        in_docs.write("targets", table)
-        print(f"Written: {in_docs.PAGE}")
-    elif not missing and in_docs.read("targets") != table:
-        print("These sizes differ from those in docs/firmware.md; run with --update")
+        return 0
+    with Numbers("targets", SOURCES) as numbers:
+        add_table(numbers, "sizes", table)
+    if read("targets")["tables"] != numbers.tables:
+        print("These sizes differ from those in docs/firmware.md; run with --write")
     return 0
 
 
