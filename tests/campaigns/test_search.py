@@ -125,7 +125,8 @@ def test_wrong_names_are_refused():
 
 def test_points_use_the_borrowed_course(monkeypatch):
     monkeypatch.setattr(simulated_module, "LANES", 4)
-    course = {"duration": 0.2, "score_from": 0.05, "speeds": [0.5, 1.0], "ramp": 0.1}
+    # The compiled simulation of test_rows.py.
+    course = {"duration": 0.3, "score_from": 0.1, "speeds": [0.5, 1.0], "ramp": 0.1, "stops": 0.0}
     evaluate = evaluator(specification(course=course), "servo-400w", "plain")
     evaluated = evaluate(np.zeros((3, 4)), [5, 5, 6])
     assert evaluated["number"].to_list() == [0, 1, 2]

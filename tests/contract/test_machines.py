@@ -304,8 +304,8 @@ def test_a_new_kind_is_one_class(monkeypatch, tmp_path):
     )
     machine, servo = fluxobs.read_machine(file), fluxobs.example("servo-400w")
     for unknowns in ("drift", "drift,resistance,inverter"):
-        new = fluxobs.estimate(LOG, machine, unknowns=unknowns, stop=0.2)
-        old = fluxobs.estimate(LOG, servo, unknowns=unknowns, stop=0.2)
+        new = fluxobs.estimate(LOG, machine, unknowns=unknowns, stop=0.1)
+        old = fluxobs.estimate(LOG, servo, unknowns=unknowns, stop=0.1)
         assert new.estimates.equals(old.estimates, null_equal=True)
     new, old = (fluxobs.identify(LOG, kind, stop=0.2).machine for kind in (machine, servo))
     assert new.R_s == old.R_s

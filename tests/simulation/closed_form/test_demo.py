@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+import pytest
 
 from fluxobs import estimate
 from fluxobs.simulation.closed_form.demo import LOG, MACHINE, demo_log, generate, write
@@ -16,6 +17,11 @@ from support.cli import fluxobs
 
 EXPECTED = Path(__file__).parents[2] / "expected" / "demo.csv"
 EVERY = 50
+
+
+@pytest.fixture(scope="module")
+def replayed(tmp_path_factory):
+    return replay(tmp_path_factory.mktemp("replay"))
 
 
 def replay(folder):
@@ -34,8 +40,8 @@ def test_shipped_log_is_the_generated_one(tmp_path):
         assert (generated[name] - shipped[name]).abs().max() <= step
 
 
-def test_replay_gives_the_committed_numbers(tmp_path):
-    _, estimates = replay(tmp_path)
+def test_replay_gives_the_committed_numbers(replayed):
+    _, estimates = replayed
     expected = pl.read_csv(EXPECTED)
     estimates = estimates.gather_every(EVERY)
     assert estimates.columns == expected.columns
@@ -47,8 +53,8 @@ def test_replay_gives_the_committed_numbers(tmp_path):
             np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9, err_msg=name)
 
 
-def test_demo_errors_are_small(tmp_path):
-    result, estimates = replay(tmp_path)
+def test_demo_errors_are_small(replayed):
+    result, estimates = replayed
     statistics = result.statistics
     assert statistics.valid > 0.85 * statistics.rows  # not at full load: L_s is assumed to 10 %
     assert statistics.error_max < np.radians(2)  # even through zero speed
