@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from common import Drive, degrees_error, heading
+from numbers_data import Numbers
 
 from fluxobs import LeastSquaresObserver
 from fluxobs.deployment.costs import read_costs
@@ -17,8 +18,9 @@ def main() -> None:
     build = next(
         entry for entry in read_costs()["plain"]["builds"] if entry["name"] == "Cortex-M4F, -O2"
     )
-    print("    | M | mean instructions per interrupt | servo-400w | pmsm-2kw2 |")
-    print("    |---|---|---|---|")
+    header = ("M", "instructions per interrupt, mean", "servo-400w", "pmsm-2kw2")
+    rows = []
+    print(f"    | {' | '.join(header)} |\n    |---|---|---|---|")
     for every in (1, 2, 4, 8, 16):
         cells = []
         for name in ("servo-400w", "pmsm-2kw2"):
@@ -42,7 +44,10 @@ def main() -> None:
                 squares.append(np.mean(error[len(error) // 4 :] ** 2))
             cells.append(f"{np.sqrt(np.mean(squares)):.3f}°")
         cost = build["mean"] if every == 1 else build["mean"] / every + build["gather"]
-        print(f"    | {every} | {cost:.0f} | {' | '.join(cells)} |")
+        rows.append((str(every), f"{cost:.0f}", *cells))
+        print(f"    | {' | '.join(rows[-1])} |")
+    with Numbers("update_every", ("src/fluxobs/deployment/costs.json",)) as numbers:
+        numbers.table("every", header, rows)
 
 
 if __name__ == "__main__":

@@ -128,7 +128,7 @@ def test_the_command_of_a_result_exists(name):
     assert (ROOT / script).is_file()
     assert script in data["sources"]
     assert isinstance(data["quick"], bool)
-    writes = "numbers_data import Numbers" in (ROOT / script).read_text(encoding="utf-8")
+    writes = re.search(r"with Numbers\(", (ROOT / script).read_text(encoding="utf-8"))
     assert writes or data.get("copied"), "the command does not write its numbers"
 
 
