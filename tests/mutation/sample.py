@@ -8,6 +8,9 @@ program first draws an expression, then one of its mutants, so expressions with 
 dominate. Only the tests of the mutant's room run; they stop at the first failure. `--part 1/2` and
 `--part 2/2`, in two clones, share the work. Mutants that change no result are skipped;
 equivalent.txt lists them with the reason.
+
+To compare two states of the tests: write the output of one state to a file, and run
+`--again FILE` in the other state. It repeats the mutants that survived there.
 """
 
 from __future__ import annotations
@@ -70,6 +73,12 @@ def draw_mutants(
     reasons = equivalent()
     sample = [draw.choice(sites[site]) for site in draw.sample(list(sites), len(sites))]
     return [(room, mutant) for room, mutant in sample if describe(mutant) not in reasons][:count]
+
+
+def repeated(log: Path) -> set[str]:
+    """Return the descriptions of the mutants that survived in an earlier run, from its output."""
+    lines = log.read_text("utf-8").splitlines()
+    return {line.split(": ", 1)[1] for line in lines if line[4:12] == "SURVIVED"}
 
 
 def describe(mutant: PythonMutant | CMutant) -> str:
@@ -136,13 +145,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--part", default="1/1", help="k/n: every n-th mutant, from the k-th")
     parser.add_argument("--rooms", nargs="*", default=list(PRODUCT), choices=list(TESTS))
+    parser.add_argument("--again", type=Path, help="repeat the survivors of this run's output")
     options = parser.parse_args()
     if subprocess.run(["git", "diff", "--quiet", "HEAD"], cwd=ROOT, check=False).returncode:
         sys.exit("the clone has changes: commit or stash them first")
     # As after a keyboard interrupt, the source is restored.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     part, step = map(int, options.part.split("/"))
-    sample = draw_mutants(options.rooms, options.count, options.seed)[part - 1 :: step]
+    count = sys.maxsize if options.again else options.count
+    sample = draw_mutants(options.rooms, count, options.seed)
+    if options.again:
+        survivors = repeated(options.again)
+        sample = [drawn for drawn in sample if describe(drawn[1]) in survivors]
+    sample = sample[part - 1 :: step]
     require_passing_tests(sorted({room for room, _ in sample}))
     verdicts = []
     for number, (room, mutant) in enumerate(sample, 1):
