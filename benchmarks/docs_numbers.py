@@ -59,7 +59,8 @@ def stale() -> int:
     for name, data, changed in outdated():
         more = f" and {len(changed) - 2} more" if len(changed) > 2 else ""
         print(f"{name} ({data['date']}): {', '.join(changed[:2])}{more} changed")
-        print(f"    python {data['command']}{'' if data.get('copied') else ' --write'}")
+        python = "python " if shlex.split(data["command"])[0].endswith(".py") else ""
+        print(f"    {python}{data['command']}{'' if data.get('copied') else ' --write'}")
     return 0
 
 

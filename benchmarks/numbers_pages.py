@@ -79,13 +79,13 @@ def table(keys: list[str]) -> str:
     lines = [f"| {' | '.join(row)} |" for row in rows]
     lines[1] = "|" + "---|" * len(header)
     lines = [re.sub(r"(?<=\|) +(?=\|)", " ", line) for line in lines]
-    origins = dict.fromkeys(origin(key.partition(".")[0]) for key in keys)
+    origins = dict.fromkeys(map(origin, keys))
     return "\n".join([*lines, "", f"*{'; '.join(origins)}*", ""])
 
 
-def origin(name: str) -> str:
-    """Return command, revision and date of a result."""
-    data = _data(name)
+def origin(key: str) -> str:
+    """Return command, revision and date of a table; a copied table may have its own revision."""
+    data = _data(key.partition(".")[0]) | entry(key, "tables")
     return f"{data['command']}, revision {data['revision']}, {data['date']}"
 
 
