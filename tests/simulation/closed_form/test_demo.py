@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from PIL import Image
 
 from fluxobs import estimate
 from fluxobs.simulation.closed_form.demo import LOG, MACHINE, demo_log, generate, write
@@ -51,6 +52,13 @@ def test_replay_gives_the_committed_numbers(replayed):
             np.testing.assert_array_equal(a, b)
         else:
             np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9, err_msg=name)
+
+
+def test_the_picture_in_the_readme_is_that_of_the_demo(replayed):
+    """If the title changed, run `python benchmarks/pictures.py` and read the README again."""
+    result, _ = replayed
+    with Image.open(Path(__file__).parents[3] / "docs" / "images" / "demo.png") as picture:
+        assert picture.text["Title"] == result.plot().get_suptitle()
 
 
 def test_demo_errors_are_small(replayed):

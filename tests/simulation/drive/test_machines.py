@@ -175,7 +175,8 @@ def test_main_flux_saturation_adds_no_position_error():
         drive = encoder_drive(CAGE, RATED, noise=0.02)
         plant = Plant(motor, drive.plant.mechanics)
         drive = drive.__class__(plant, drive.inverter, drive.sensors, drive.control)
-        run = simulate(drive, course([(0.3, 0.0), (0.6, 0.8)], [(0.9, 0.0), (0.9, 0.8)]), 1.4)
+        # This duration has the compiled length of the test of field orientation.
+        run = simulate(drive, course([(0.3, 0.0), (0.6, 0.8)], [(0.9, 0.0), (0.9, 0.8)]), 1.6)
         record = run.record()
         observer = LeastSquaresObserver.for_machine(CAGE, sample_time=H)
         estimate = observer.run(record.interval_voltage(), record.current)

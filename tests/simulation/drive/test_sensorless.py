@@ -72,11 +72,14 @@ def test_hand_over_waits_for_a_small_standard_deviation(drive):
         assert np.abs(position_error(run)[k]) < 5.0
 
 
-@pytest.mark.parametrize("load", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
-def test_loss_of_position_at_standstill_is_reported(drive, load):
+@pytest.mark.parametrize(
+    ("load", "duration"),
+    [(0.5, 1.5), *(pytest.param(load, 4.0, marks=pytest.mark.slow) for load in (0.0, 0.5))],
+)
+def test_loss_of_position_at_standstill_is_reported(drive, load, duration):
     """In a long stop, the position is unidentifiable; the drive reports this before an error."""
     speed = ((0, 0), (0.2, 0), (0.7, 0.3), (0.9, 0.3), (1.1, 0.0))
-    run = simulate(drive, course(speed, ((0.8, 0), (0.8, load)), theta_e=1.0), 4.0, seed=1)
+    run = simulate(drive, course(speed, ((0.8, 0), (0.8, load)), theta_e=1.0), duration, seed=1)
     lost = times(run, "position lost")
     assert len(lost) == 1
     assert 1.1 < lost[0] < 1.6
@@ -127,17 +130,19 @@ def test_a_jump_of_the_voltage_offset_does_not_stop_the_drive(drive):
     assert np.sqrt(np.mean(error[run.t > 1.7] ** 2)) < 0.12
 
 
-def test_one_percent_of_rated_speed_with_full_load_step():
+@pytest.mark.parametrize(
+    ("step", "duration"), [(1.0, 1.5), pytest.param(3.0, 4.0, marks=pytest.mark.slow)]
+)
+def test_one_percent_of_rated_speed_with_full_load_step(step, duration):
     # At 1 % the EMF is 2.6 V: voltage errors other than offsets must be far smaller.
     slow = sensorless_drive(
         MACHINE, RATED, memory=0.67, speed_bandwidth=50.0, drift_prior=0.25, **BIASES
     )
-    run = simulate(
-        slow, course(((0, 0), (0.2, 0), (0.3, 0.01)), ((3.0, 0), (3.0, 1)), theta_e=2.0), 4.0
-    )
+    speed = ((0, 0), (0.2, 0), (0.3, 0.01))
+    run = simulate(slow, course(speed, ((step, 0), (step, 1)), theta_e=2.0), duration)
     assert not times(run, "position lost")
     running = run.trace.mode == 1
-    assert running[run.t > 2.0].all()
+    assert running[run.t > 2 / 3 * step].all()
     assert np.sqrt(np.mean(position_error(run)[running] ** 2)) < 0.3
     assert run.trace.speed[-1] * MACHINE.n_p / RATED.speed_e == pytest.approx(0.01, abs=0.002)
 
