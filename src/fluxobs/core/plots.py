@@ -39,11 +39,19 @@ def new_figure(**options: Any) -> Figure:
 
 
 def write(figure: Figure, path: Path) -> None:
-    """Save a figure, complete or not at all; every run writes the same bytes."""
+    """Save a figure, complete or not at all; every run writes the same bytes.
+
+    A PNG states the figure's title as metadata.
+    """
     import matplotlib as mpl
 
     ending = path.suffix.lower()
-    metadata: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    title = {"Title": figure.get_suptitle()} if figure.get_suptitle() else {}
+    metadata: dict[str, Any] = {
+        ".png": title,
+        ".svg": {"Date": None},
+        ".pdf": {"CreationDate": None},
+    }
     with replacing(path) as file, mpl.rc_context({"svg.hashsalt": "fluxobs"}):
         figure.savefig(file, format=ending[1:], dpi=130, metadata=metadata[ending])
 
