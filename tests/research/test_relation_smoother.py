@@ -115,9 +115,8 @@ def at_rest(system, flux, q, ripple, noise, seed, rows=400):
     return smooth_record(observer, np.diff(fluxes, axis=0, prepend=fluxes[:1]), measured)
 
 
-@pytest.mark.parametrize(
-    "make", [interior_pmsm, pytest.param(surface_pmsm, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow  # the levitation at rest has the same closed form
+@pytest.mark.parametrize("make", [interior_pmsm, surface_pmsm])
 def test_a_salient_machine_at_rest_is_known_to_the_closed_form(make):
     """σ_q = σ_i/√Σ|K'Δλ|², and a machine with one inductance learns nothing."""
     q, noise, ripple = np.array([0.3]), 1e-3, 2e-3 * np.array([1.0, 0.4])

@@ -3,6 +3,7 @@
 from functools import cache
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,6 +31,20 @@ from support.trajectories import pmsm
 
 RELATION = QuadraticConstraint(np.eye(2), -0.8 * np.eye(2), 0.16 * np.eye(2), d=-1.0)
 CONSTANTS = Parametrisation(RELATION, "voltage-bias", 1.0)
+
+
+@eqx.filter_jit
+def compiled_step(observer, *arguments):
+    return observer.step(*arguments)
+
+
+def step(observer, state, h, v, row):
+    return compiled_step(observer, state, jnp.asarray(h), v, row)  # a float would be static
+
+
+@jax.jit
+def regressor(row):
+    return CONSTANTS.regressor(row)
 
 
 def random_row(rng, n=2):
@@ -60,8 +75,8 @@ def test_a_short_step_follows_the_differential_equation(seed):
         rate = observer.derivative(state, y_m, row)
         errors = []
         for h in (1e-4, 1e-5):
-            moved = observer.step(state, h, h * y_m, row)
-            change = jax.tree.map(lambda a, b, step=h: (a - b) / step, moved, state)
+            moved = step(observer, state, h, h * y_m, row)
+            change = jax.tree.map(lambda a, b, h=h: (a - b) / h, moved, state)
             pairs = zip(jax.tree.leaves(change), jax.tree.leaves(rate), strict=True)
             errors.append(max(float(jnp.abs(a - b).max()) for a, b in pairs))
         assert errors[1] < 0.2 * errors[0] + 1e-8, name
@@ -81,9 +96,9 @@ def test_a_step_is_the_exact_flow_of_a_constant_regressor():
         stepsize_controller=diffrax.PIDController(rtol=1e-11, atol=1e-12),
     )
     np.testing.assert_allclose(
-        observer.step(start, h, jnp.zeros(2), row), solution.ys[0], rtol=1e-8
+        step(observer, start, h, jnp.zeros(2), row), solution.ys[0], rtol=1e-8
     )
-    huge = RobustObserver(1e20, 2).step(start, h, jnp.zeros(2), row)
+    huge = step(RobustObserver(1e20, 2), start, h, jnp.zeros(2), row)
     assert float(abs(row.y - row.Phi_flux @ huge)) < 1e-10
     assert float(flow_gain(jnp.asarray(0.0), 0.3)) == 0.3
 
@@ -105,9 +120,9 @@ def test_the_repaired_error_is_a_cascade(seed):
     for _ in range(10):
         row, v = random_row(rng), rng.standard_normal(2)
         flux = flux + v + h * theta[:2]
-        y = row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta
+        y = row.Phi_flux @ flux + regressor(row) @ theta
         row = row._replace(y=y)
-        state = observer.step(state, h, jnp.asarray(v), row)
+        state = step(observer, state, h, jnp.asarray(v), row)
         direction = observer.Gamma @ row.Phi_flux
         gain = flow_gain(row.Phi_flux @ direction, h)
         eta = eta - np.asarray(gain * direction) * float(row.Phi_flux @ eta)
@@ -193,11 +208,11 @@ def test_riccati_equals_the_dense_weighted_least_squares():
     fade = np.exp(-h / 0.6)
     for _ in range(40):
         row, v = random_row(rng), rng.standard_normal(2)
-        state = observer.step(state, h, jnp.asarray(v), row)
+        state = step(observer, state, h, jnp.asarray(v), row)
         moved = np.vstack(rows) @ back
         values = [fade * (np.concatenate(values) + moved[:, :2] @ v)]
         rows = [fade * moved]
-        psi = np.r_[row.Phi_flux, CONSTANTS.regressor(row)]
+        psi = np.r_[row.Phi_flux, regressor(row)]
         rows.append(np.sqrt(h) / 0.1 * psi[None])
         values.append(np.sqrt(h) / 0.1 * np.atleast_1d(row.y))
     expected = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0]
@@ -215,8 +230,8 @@ def test_drem_is_exact_once_its_formula_applies():
     for _ in range(400):
         row, v = random_row(rng), 0.1 * rng.standard_normal(2)
         flux = flux + v + h * theta[:2]
-        row = row._replace(y=row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta)
-        state = observer.step(state, h, jnp.asarray(v), row)
+        row = row._replace(y=row.Phi_flux @ flux + regressor(row) @ theta)
+        state = step(observer, state, h, jnp.asarray(v), row)
         if 1 - float(state.start_weight) > 0.1:
             estimates, constants = observer.estimate(state)
             error = max(np.abs(estimates - flux).max(), np.abs(constants - theta).max())
@@ -267,9 +282,9 @@ def test_generalised_pebo_equals_the_dense_least_squares():
     rows, values = [np.diag(1 / scale)], [np.zeros(5)]
     for k in range(1, 31):
         row, v = random_row(rng), rng.standard_normal(2)
-        state = observer.step(state, h, jnp.asarray(v), row)
+        state = step(observer, state, h, jnp.asarray(v), row)
         xi = xi + v
-        psi = np.r_[row.Phi_flux, CONSTANTS.regressor(row)]
+        psi = np.r_[row.Phi_flux, regressor(row)]
         psi[2:4] += k * h * psi[:2]
         information = np.vstack(rows) * scale
         uncertainty = min(1.0, 1 / np.linalg.eigvalsh(information.T @ information)[0])
@@ -294,7 +309,7 @@ def test_mixed_estimates_follow_their_equation():
     for _ in range(20):
         before = np.asarray(state.mixed)
         v = jnp.asarray(rng.standard_normal(2))
-        state = observer.step(state, h, v, random_row(rng))
+        state = step(observer, state, h, v, random_row(rng))
         share = np.eye(size) - float(state.start_weight) * np.linalg.inv(state.M)
         delta, start = np.linalg.det(share), np.linalg.solve(state.M, state.m)
         Y = [
@@ -323,9 +338,9 @@ def test_mixing_removes_the_initial_value_from_the_least_squares():
         if k >= 60:  # excitation has ended
             row = Regressors(*(0 * entry for entry in row))
         flux = flux + v + h * theta[:2]
-        row = row._replace(y=row.Phi_flux @ flux + CONSTANTS.regressor(row) @ theta)
+        row = row._replace(y=row.Phi_flux @ flux + regressor(row) @ theta)
         for name, observer in observers.items():
-            states[name] = observer.step(states[name], h, jnp.asarray(v), row)
+            states[name] = step(observer, states[name], h, jnp.asarray(v), row)
     errors = {
         name: np.abs(np.asarray(observers[name].estimate(state)[0]) - flux).max()
         for name, state in states.items()
