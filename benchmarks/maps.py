@@ -21,7 +21,7 @@ from fluxobs.machines import (
     SynchronousReluctance,
     example,
 )
-from fluxobs.machines.model.flux_table import mirrored
+from fluxobs.machines.model.flux_table import add_mirror_images
 from fluxobs.observers.derived import derived
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -142,7 +142,7 @@ class Measured(InteriorPMSM):
     """A machine whose measured map is interpolated linearly between the measured points."""
 
     def flux_dq(self, current):
-        i, psi = mirrored(self.flux_map.current, self.flux_map.flux, True)
+        i, psi = add_mirror_images(self.flux_map.current, self.flux_map.flux, True)
         d, q = np.unique(i.real), np.unique(i.imag)
         grid = np.zeros((len(d), len(q)), complex)
         grid[np.searchsorted(d, i.real), np.searchsorted(q, i.imag)] = psi
