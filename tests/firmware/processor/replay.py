@@ -89,6 +89,14 @@ FUSED = (1e-4, math.radians(0.05))
 LOOK_UP = 300
 #: Instructions of the injector while the observer runs, at most.
 INJECTING = 400
+#: Processor → its clock [Hz], and cycles of an instruction, estimated.
+PROCESSORS = {
+    "Cortex-M4F, 168 MHz": (168e6, 1.6),
+    "Cortex-M33, 250 MHz": (250e6, 1.5),
+    "Cortex-M7, 480 MHz": (480e6, 1.0),
+}
+#: Calls of the slower task that have work, in the table of loads [1/s].
+TASK_RATE = 1000
 M4F = ["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"]
 M0 = ["-mcpu=cortex-m0", "-O2"]
 BUILDS = (
@@ -363,6 +371,20 @@ def measure_injecting(numbers: Numbers) -> bool:
     return False
 
 
+def load_rows(build: dict[str, Any]) -> list[list[str]]:
+    """Return the load of each processor [%], interrupt + task, by the rate of the interrupt."""
+    rows = []
+    for rate in (10_000, 20_000, 40_000):
+        cells = []
+        for clock, cycles in PROCESSORS.values():
+            calls = (rate * build["mean"], TASK_RATE * build["learn_mean"])
+            interrupt, task = (100 * count * cycles / clock for count in calls)
+            too_much = ": too much" if interrupt + task > 90 else ""
+            cells.append(f"{interrupt:.0f} + {task:.0f}{too_much}")
+        rows.append([f"{rate // 1000} kHz", *cells])
+    return rows
+
+
 def record(costs: dict[str, Any], numbers: Numbers) -> None:
     """Keep the numbers of the docs."""
     for kind, cost in costs.items():
@@ -373,6 +395,8 @@ def record(costs: dict[str, Any], numbers: Numbers) -> None:
             numbers.value(f"{kind}_{name}", build[name])
         for name in ("state", "stack"):
             numbers.value(f"{kind}_{name}", build[name] / 1e3, "{:.1f} KB")
+    loads = load_rows(costs["tasks"]["builds"][0])
+    numbers.table("loads", ("interrupt at", *PROCESSORS), loads)
     numbers.value("compiler", costs["plain"]["compiler"])
     means = [costs[kind]["builds"][0]["mean"] for kind in ("adaptive", "plain")]
     reached = "{} (plain {})".format(*means)
