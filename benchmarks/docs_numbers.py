@@ -66,12 +66,16 @@ def stale() -> int:
 
 def run(only_quick: bool) -> int:
     """Run the commands of the results that `stale` lists, except those that write no data."""
-    for name, data, _ in list(outdated()):
+    copied = 0
+    for _, data, _ in list(outdated()):
         if data.get("copied"):
-            print(f"{name}: copied from what {data['command']} printed; it writes no data")
+            copied += 1
         elif data["quick"] or not only_quick:
             command = [sys.executable, *shlex.split(data["command"]), "--write"]
+            print(f"python {data['command']} --write", flush=True)
             subprocess.run(command, cwd=ROOT, check=True)
+    if copied:
+        print(f"{copied} outdated results were copied from pages: their commands write no data")
     return 0
 
 
