@@ -146,14 +146,15 @@ def test_wrong_parameters_are_found():
 
 def full_step(relation, point, prior):
     """Return the Gauss-Newton step: λ₀ and θ of each segment, then the parameters."""
-    P, M, _ = point.columns.shape
+    columns = relation._columns(point)
+    P, M, _ = columns.shape
     n = 4 * P + 4
     J, r = np.zeros((P * M, n)), np.zeros(P * M)
     for p in range(P):
         block = slice(p * M, (p + 1) * M)
-        J[block, 4 * p : 4 * p + 4] = point.columns[p, :, :4]
-        J[block, -4:] = point.columns[p, :, 4:8]
-        r[block] = point.columns[p, :, 8]
+        J[block, 4 * p : 4 * p + 4] = columns[p, :, :4]
+        J[block, -4:] = columns[p, :, 4:8]
+        r[block] = columns[p, :, 8]
     H, g = J.T @ J, J.T @ r
     tight = 1 / (0.03 * relation.data.size)
     for p in range(P):
@@ -205,8 +206,8 @@ def test_the_cost_of_a_point():
         drift + deviation @ prior.precision @ deviation
     )
     psi = PMSM.psi_f * np.exp(values[PSI])
-    residual = np.abs(linearised.position) - psi
-    size = np.sqrt(np.mean(np.abs(linearised.position) ** 2))
+    residual = np.abs(linearised.position.x) - psi
+    size = np.sqrt(np.mean(np.abs(linearised.position.x) ** 2))
     assert linearised.share == pytest.approx(
         np.sqrt(np.mean(np.minimum(abs(residual), size) ** 2)) / size
     )

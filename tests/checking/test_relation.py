@@ -60,7 +60,8 @@ def test_derivatives_are_those_of_the_residual(data, monkeypatch):
 
     def columns(values, first, slope):
         point = relation_residual._linearise(values, first, slope, 0.5, LOOSE)
-        return point.columns * np.sqrt(np.mean(np.abs(point.position) ** 2))  # without the weight
+        size = np.sqrt(np.mean(np.abs(point.position.x) ** 2))
+        return relation_residual._columns(point) * size  # without the weight
 
     base = columns(values, first, slope)
     moves = [
@@ -120,8 +121,8 @@ def test_the_misfit_is_hubers_loss_of_pairs(data, psi_error):
     values = np.array([0.0, 0.0, psi_error, 0.0])
     start = np.zeros((len(data.current), 1), complex)
     point = residual_function._linearise(values, start + PMSM.psi_f, start, PMSM.psi_f, LOOSE)
-    residual = np.abs(point.position) - PMSM.psi_f * np.exp(psi_error)
-    size = np.sqrt(np.mean(np.abs(point.position) ** 2))
+    residual = np.abs(point.position.x) - PMSM.psi_f * np.exp(psi_error)
+    size = np.sqrt(np.mean(np.abs(point.position.x) ** 2))
     std = np.hypot(MODEL * size, PMSM.L_s * 0.02)
     first, second = residual[:, 0::2] / std, residual[:, 1::2] / std
     mean = np.abs(first + second) / 2

@@ -153,19 +153,6 @@ def _initial_flux(y: Complex, t: Array) -> tuple[Complex, Complex, float]:
     return offset[:, None], slope[:, None], float(np.mean(residual**2) / radius**2)
 
 
-@dataclass(frozen=True, eq=False)
-class _Linearisation:
-    """The relation, linearised at given parameters."""
-
-    cost: float
-    misfit: float
-    share: float
-    position: Complex
-    columns: Array  # Derivatives by λ₀, θ and the parameters, then the neighbour's residual.
-    drift: NDArray[np.complex128]  # Drift of each segment in standard deviations.
-    deviation: Array  # Parameters minus the prior's mean.
-
-
 class _Position(NamedTuple):
     """Position vector x [Wb], the part of |x| that the current causes, and derivatives.
 
@@ -177,6 +164,22 @@ class _Position(NamedTuple):
     from_current: Array
     to_flux: Complex
     by_scale: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearisation:
+    """The relation at given parameters, with all that its derivatives need."""
+
+    cost: float
+    misfit: float
+    share: float
+    values: Array
+    position: _Position
+    psi: Array  # magnet flux [Wb], zero without magnets; shape of the rows or of a segment
+    neighbour: Array  # residual of the other row of the pair
+    weight: Array  # square root of the weight of a row, in its standard deviation
+    drift: NDArray[np.complex128]  # Drift of each segment in standard deviations.
+    deviation: Array  # Parameters minus the prior's mean.
 
 
 class RelationResidual:
@@ -264,12 +267,12 @@ class RelationResidual:
             if gain < CONVERGED:
                 break
         with np.errstate(invalid="ignore", divide="ignore"):
-            turned = np.ptp(np.unwrap(np.angle(best.position), axis=1), axis=1)
+            turned = np.ptp(np.unwrap(np.angle(best.position.x), axis=1), axis=1)
         share = best.share if np.mean(turned > TURNED) > 1 - STANDING else np.inf
         misfit = best.misfit if np.isfinite(share) else np.inf
         covariance = np.linalg.pinv(self._information(best)[0] + prior.precision)
         std = np.sqrt(np.diag(covariance))
-        return RelationFit(misfit, best.cost - best.misfit, share, values, std, best.position)
+        return RelationFit(misfit, best.cost - best.misfit, share, values, std, best.position.x)
 
     def _linearise(
         self, values: Array, offset: Complex, slope: Complex, base_flux: float | Array, prior: Prior
@@ -277,8 +280,7 @@ class RelationResidual:
         data = self.data
         psi = base_flux * np.exp(values[PSI]) if self.magnets else 0.0
         position = self._position(self._integral(values) + offset + slope * data.t, values, psi)
-        x, to_flux = position.x, position.to_flux
-        length = np.abs(x) + 1e-300
+        length = np.abs(position.x) + 1e-300
         size = float(np.sqrt(np.mean(length**2)))
         residual = length - psi - position.from_current
         inductance = self.L_q * np.exp(values[L])
@@ -293,34 +295,44 @@ class RelationResidual:
         drift = slope[:, 0] / (DRIFT * data.size)
         misfit = row_weight * float(loss.sum())
         cost = misfit + float(deviation @ prior.precision @ deviation + (np.abs(drift) ** 2).sum())
-        by_parameter = [
-            -self.R * np.exp(values[R]) * (to_flux.conj() * data.charge).real,
-            position.by_scale,
-            -psi * np.ones_like(length),
-            -data.size * (to_flux.conj() * data.inverter).real,
-        ]
-        columns = np.stack(
-            [
-                to_flux.real,
-                to_flux.imag,
-                data.t * to_flux.real,
-                data.t * to_flux.imag,
-                *by_parameter,
-                neighbour,
-            ],
-            axis=-1,
-        )
-        columns *= (np.sqrt(row_weight * huber) / std)[..., None]
         share = float(np.sqrt(np.mean(np.minimum(np.abs(residual), size) ** 2)) / size)
-        return _Linearisation(cost, misfit, share, x, columns, drift, deviation)
+        weight = np.sqrt(row_weight * huber) / std
+        return _Linearisation(
+            cost,
+            misfit,
+            share,
+            values,
+            position,
+            psi * np.ones_like(length),
+            neighbour,
+            weight,
+            drift,
+            deviation,
+        )
+
+    def _columns(self, point: _Linearisation) -> Array:
+        """Return the derivatives by λ₀, θ and the parameters, then the neighbour's residual."""
+        data, to_flux = self.data, point.position.to_flux
+        columns = [
+            to_flux.real,
+            to_flux.imag,
+            data.t * to_flux.real,
+            data.t * to_flux.imag,
+            -self.R * np.exp(point.values[R]) * (to_flux.conj() * data.charge).real,
+            point.position.by_scale,
+            -point.psi,
+            -data.size * (to_flux.conj() * data.inverter).real,
+            point.neighbour,
+        ]
+        return np.asarray(np.stack(columns, axis=-1) * point.weight[..., None])
 
     def _information(self, point: _Linearisation) -> tuple[Array, Array, Array, Array, Array]:
         """Eliminate λ₀ and θ of each segment; return the information on the parameters.
 
         Also return the right side, and the terms from which the steps of λ₀ and θ follow.
         """
-        A = point.columns
-        H = np.einsum("pmi,pmj->pij", A, A)
+        A = self._columns(point)
+        H = A.transpose(0, 2, 1) @ A
         tight = 1 / (DRIFT * self.data.size)
         for k, component in ((2, point.drift.real), (3, point.drift.imag)):
             H[:, k, k] += tight**2
@@ -330,7 +342,7 @@ class RelationResidual:
         local = local / (scale[:, :, None] * scale[:, None, :]) + 1e-12 * np.eye(4)
         coupling = H[:, :4, 4:] / scale[:, :, None]
         solved = np.linalg.solve(local, coupling)
-        reduced = (H[:, 4:, 4:] - np.einsum("pki,pkj->pij", coupling, solved)).sum(axis=0)
+        reduced = (H[:, 4:, 4:] - coupling.transpose(0, 2, 1) @ solved).sum(axis=0)
         return reduced[:4, :4], reduced[:4, 4], solved[:, :, :4], solved[:, :, 4], scale
 
     def _step(self, point: _Linearisation, prior: Prior) -> tuple[Array, tuple[Complex, Complex]]:
