@@ -1,11 +1,11 @@
 """Run the stages of `.ci/run`, two single-core stages at a time; print the time of each.
 
-python3 .ci/stages.py [--all] [--list]
+python3 .ci/stages.py [--all] [--list] [--only NAME …]
 
 A stage with `files` is repeated only if one of these files changed since the stage last passed on
 this computer. The hash of their contents, with the versions of the tools, is kept in the user's
 cache folder and printed in the log. `--all` runs everything, as the nightly run does; `--list`
-prints what would run.
+prints what would run. `--only` runs some stages, for example `--only lint MISRA`.
 """
 
 from __future__ import annotations
@@ -160,14 +160,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--all", action="store_true", help="run unchanged stages, too")
     parser.add_argument("--list", action="store_true", help="print what would run, and end")
+    names = [stage.name for stage in STAGES]
+    parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="NAME")
     options = parser.parse_args()
+    chosen = [stage for stage in STAGES if stage.name in options.only]
     if options.list:
-        for stage in STAGES:
+        for stage in chosen:
             passed = unchanged(stage, options.all)
             print(f"{stage.name:26} {'runs' if passed is None else f'unchanged since {passed}'}")
         return 0
     results, began = [], time.monotonic()
-    for group in groups(STAGES):
+    for group in groups(chosen):
         with ThreadPoolExecutor(max_workers=2) as pool:
             results += pool.map(lambda stage: run(stage, options.all), group)
         if any(verdict == "FAILED" for _, _, verdict in results):
