@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,7 @@ def place(module: str) -> str:
     return module.removeprefix("fluxobs.").replace(".", "/")
 
 
+@cache
 def imports(path: Path) -> set[str]:
     """Return the modules of the package from which a file imports, at its head or in functions."""
     package = ["fluxobs", *path.relative_to(ROOT).parent.parts]

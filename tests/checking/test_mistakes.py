@@ -205,7 +205,7 @@ def test_check(name, with_truth):
 
 
 #: `estimate` runs the same search; a few cases check that it prints the findings.
-QUICK = ("nothing", "both pairs exchanged", "lag 0", "truth not in radians", "i_a twice")
+QUICK = ("nothing", "both pairs exchanged", "lag 0", "truth not in radians")
 
 
 @pytest.mark.parametrize(("name", "with_truth"), cases(lambda name, with_truth: name in QUICK))

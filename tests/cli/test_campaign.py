@@ -14,6 +14,9 @@ from pathlib import Path
 import polars as pl
 import pytest
 
+from fluxobs.campaigns.columns import schema
+from fluxobs.campaigns.dataset import create
+from fluxobs.campaigns.specification import read_specification
 from support.cli import fluxobs
 
 SPECIFICATION = """
@@ -44,6 +47,34 @@ observer = "adaptive"
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a finished campaign with written rows instead of simulated ones."""
+    folder = tmp_path_factory.mktemp("written")
+    (folder / "trial.toml").write_text(SPECIFICATION)
+    specification = read_specification(folder / "trial.toml")
+    dataset = create(folder / "out", specification, 6)
+    numbers = [number for number in range(6) for _ in specification.observers]
+    names = ["plain", "adaptive"] * 6
+    frame = pl.DataFrame({"number": numbers, "observer": names}).with_columns(
+        machine=pl.lit("servo-400w"),
+        R=1 + 0.1 * pl.col("number"),
+        noise=0.003,
+        rms=0.01 * (1 + pl.col("number")),
+        worst=0.03,
+        valid=0.9,
+        first_valid=0.1,
+        wrong=0.0,
+    )
+    columns = schema(specification)
+    rest = [name for name in columns if name not in frame.columns]
+    missing = [pl.lit(None if name == "failed" else 0.0).alias(name) for name in rest]
+    rows = frame.with_columns(missing).select(pl.col(n).cast(k) for n, k in columns.items())
+    for chunk in dataset.chunks():
+        rows.write_parquet(dataset.folder / "rows" / chunk.file)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a campaign that met its limit."""
     folder = tmp_path_factory.mktemp("campaign")
     (folder / "trial.toml").write_text(SPECIFICATION)
@@ -59,8 +90,9 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_files_written(done):
-    out = done / "out"
+@pytest.mark.slow
+def test_files_written(simulated):
+    out = simulated / "out"
     rows = pl.read_parquet(out / "rows" / "*.parquet")
     assert len(rows) == 12
     assert rows["failed"].null_count() == 12
@@ -76,10 +108,11 @@ def test_files_written(done):
     assert sum(int(line.split(",")[1]) - int(line.split(",")[0]) for line in times) == 6
 
 
-def test_finished_scenarios_are_not_repeated(done):
-    out = done / "out"
+@pytest.mark.slow
+def test_finished_scenarios_are_not_repeated(simulated):
+    out = simulated / "out"
     before = {path: path.stat().st_mtime_ns for path in (out / "rows").iterdir()}
-    run = fluxobs("campaign", out, folder=done)
+    run = fluxobs("campaign", out, folder=simulated)
     assert run.returncode == 0, run.stderr
     assert {path: path.stat().st_mtime_ns for path in (out / "rows").iterdir()} == before
 
@@ -101,8 +134,9 @@ def test_a_missed_limit_is_exit_code_1(done):
         path.write_bytes(saved)
 
 
-def test_a_scenario_is_rerun(done, tmp_path):
-    out = done / "out"
+@pytest.mark.slow
+def test_a_scenario_is_rerun(simulated, tmp_path):
+    out = simulated / "out"
     run = fluxobs(
         *("campaign", out, "--rerun", "5", "--observer", "adaptive"),
         *("--report", tmp_path / "r.html", "--record", tmp_path / "r.parquet"),
@@ -198,7 +232,9 @@ def test_a_damaged_file_is_named_with_the_remedy(copy, tmp_path):
 
 
 @pytest.mark.slow
-def test_rows_that_were_deleted_are_computed_again(copy, tmp_path):
+def test_rows_that_were_deleted_are_computed_again(simulated, tmp_path):
+    copy = tmp_path / "out"
+    shutil.copytree(simulated / "out", copy)
     rows = sorted((copy / "rows").iterdir())[0]
     intact = rows.read_bytes()
     rows.unlink()

@@ -16,7 +16,7 @@ from fluxobs.observers.for_log import prepare
 from support.cli import SMOOTHED, fluxobs
 from support.records import SERVO, log_columns, steady
 
-H, ROWS = 1e-4, 4000
+H, ROWS = 1e-4, 2500
 
 
 @pytest.fixture
@@ -114,9 +114,9 @@ def test_missing_machine_values_come_from_the_log(folder):
     done = estimate(folder, out="bare.parquet")
     assert done.returncode == 0, done.stderr
     full, bare = (pl.read_parquet(folder / f"{n}.parquet") for n in ("full", "bare"))
-    assert bare["valid"][-2000:].all()
+    assert bare["valid"][-1500:].all()
     difference = np.angle(np.exp(1j * (full["theta_e"] - bare["theta_e"]).to_numpy()))
-    assert np.abs(difference[-2000:]).max() < np.radians(0.1)
+    assert np.abs(difference[-1500:]).max() < np.radians(0.1)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
@@ -126,8 +126,8 @@ def test_wrong_magnet_flux_is_noticed_and_harmless(folder, factor):
     done = estimate(folder, "--truth", "theta_mech=angle")
     assert "psi_f in the machine file is wrong: 0.012" in done.stdout
     estimates = pl.read_parquet(folder / "out.parquet")
-    assert estimates["valid"][-2000:].all()
-    assert estimates["theta_e_error"][-2000:].abs().max() < np.radians(2)
+    assert estimates["valid"][-1500:].all()
+    assert estimates["theta_e_error"][-1500:].abs().max() < np.radians(2)
 
 
 def test_slow_sampling_is_warned_about(folder):
@@ -171,7 +171,7 @@ def test_a_rounded_time_column_is_read_and_reported(folder):
     done = estimate(folder)
     assert done.returncode == 0, done.stderr
     assert "t is rounded to 0.001 s" in done.stdout
-    assert "400 ms at 10000 Hz" in done.stdout
+    assert "250 ms at 10000 Hz" in done.stdout
 
 
 def test_a_short_log_is_reported(folder):
@@ -212,14 +212,14 @@ def test_exchanged_phases_are_suspected(folder):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--lag", "5000"], "outside the record of 4000 rows"),
+        (["--lag", "5000"], "outside the record of 2500 rows"),
         (["--frame", "xyz"], "frame"),
         (["--column", "i_alpha=ia"], "no column 'ia' for the channel i_alpha; nearest: i_"),
         (["--column", "i_alfa=x"], "unknown channel 'i_alfa'; did you mean 'i_alpha'"),
         (["--column", "i_alpha"], "expected NAME=VALUE, got 'i_alpha'"),
         (["--scale", "i_alpha=big"], "'big' is not a number"),
         (["--sample-time", "1e-3"], "t advances by 0.0001 s"),
-        (["--from", "9"], "the log runs from 0 s to 0.3999 s"),
+        (["--from", "9"], "the log runs from 0 s to 0.2499 s"),
         (["--memory", "1e-4"], "too short: give at least ten samples"),
         (["--report", "report.gif"], "must end in .html, .png, .pdf, .svg"),
         (["--report", "nowhere/report.png"], "the folder nowhere does not exist"),
@@ -266,11 +266,11 @@ def test_failure_in_the_middle_leaves_the_old_file(folder):
     before = (folder / "out.parquet").read_bytes()
     log = pl.read_csv(folder / "log.csv").with_columns(pl.col("i_beta").cast(pl.String))
     rows = log["i_beta"].to_list()
-    rows[3500] = "oops"
+    rows[2000] = "oops"
     log.with_columns(pl.Series("i_beta", rows)).write_csv(folder / "log.csv")
     done = estimate(folder)
     assert done.returncode == 2
-    assert "line 3502, column 'i_beta': 'oops' is not a number" in done.stderr
+    assert "line 2002, column 'i_beta': 'oops' is not a number" in done.stderr
     assert (folder / "out.parquet").read_bytes() == before
     assert not list(folder.glob(".*"))
 

@@ -14,6 +14,7 @@ from support.records import PMSM, course, log_columns
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("log")
     columns = log_columns(course(R_s=1.3 * PMSM.R_s, inverter=6.0, smoothing=0.2))
+    columns = {name: values[:16_000] for name, values in columns.items()}
     pl.DataFrame(columns).write_parquet(folder / "log.parquet")
     (folder / "motor.toml").write_text(example_text("pmsm-2kw2"))
     (folder / "synrm.toml").write_text(example_text("synrm-6kw7"))

@@ -32,7 +32,9 @@ def usual(samples):
     return fluxobs.estimate(log_columns(samples), SERVO, lag=0)
 
 
-@pytest.mark.parametrize(("lag", "columns"), [(0.0, dict), (-1.0, late)])
+@pytest.mark.parametrize(
+    ("lag", "columns"), [pytest.param(0.0, dict, marks=pytest.mark.slow), (-1.0, late)]
+)
 def test_a_log_with_load_steps_determines_the_lag(samples, lag, columns):
     result = fluxobs.estimate(columns(log_columns(samples)), SERVO)
     assert result.lag.lag == lag
@@ -55,7 +57,7 @@ def test_a_long_log_determines_the_lag_from_segments(samples, monkeypatch):
     assert np.degrees(error[result["valid"]].max()) < 5
 
 
-@pytest.mark.parametrize("columns", [dict, late])
+@pytest.mark.parametrize("columns", [pytest.param(dict, marks=pytest.mark.slow), late])
 def test_constant_speed_and_load_leave_both(columns):
     """The estimate lies between both lags, and its standard deviation contains the difference."""
     samples = steady(SERVO, 1e-4, 500.0, 3000, 6j, 0.15 - 0.1j, -0.1 + 0.05j, 0.02)

@@ -74,7 +74,7 @@ def test_of_two_starts_that_fit_the_one_that_settled_counts():
     assert not starts.clearly_better(left_out, settled)
 
 
-@pytest.mark.parametrize("long", [False, True])
+@pytest.mark.parametrize("long", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_an_observer_that_turns_too_fast_does_not_shorten_the_blocks(samples, monkeypatch, long):
     """A reluctance machine's estimate was sure and wrong with blocks of a row instead of 16."""
     if long:
