@@ -276,6 +276,13 @@ def test_record_from_log_is_aligned(tmp_path):
     np.testing.assert_array_equal(record.interval_voltage(), rows.voltage)
 
 
+def test_record_from_log_has_its_true_angle(tmp_path):
+    np.savez(tmp_path / "log.npz", **PLAIN)
+    with_truth = read_log(tmp_path / "log.npz", truth={"theta_e": "theta_e"}).to_record()
+    np.testing.assert_allclose(with_truth.theta_e, THETA)
+    assert read_log(tmp_path / "log.npz", truth={"none": "-"}).to_record().theta_e is None
+
+
 # ---- scale, truth, selection -------------------------------------------------------------
 
 
