@@ -211,7 +211,9 @@ def copy(done, tmp_path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_damaged_file_is_named_with_the_remedy(copy, tmp_path):
+def test_a_damaged_file_is_named_with_the_remedy(simulated, tmp_path):
+    copy = tmp_path / "out"
+    shutil.copytree(simulated / "out", copy)
     rows = sorted((copy / "rows").iterdir())[0]
     intact = rows.read_bytes()
     for damaged in (b"", intact[:-7], intact[:100] + bytes(100) + intact[200:]):
