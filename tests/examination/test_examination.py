@@ -11,7 +11,9 @@ from fluxobs.machines import example
 from fluxobs.simulation.closed_form.demo import LOG, MACHINE
 
 TABLE = np.genfromtxt(LOG, delimiter=",", names=True)
-GOOD = {name: TABLE[name][:5000] for name in TABLE.dtype.names}
+WHOLE = {name: TABLE[name] for name in TABLE.dtype.names}
+#: The first second: run-up and load step.
+GOOD = {name: values[:5000] for name, values in WHOLE.items()}
 SERVO = example(MACHINE)
 TURNS = np.exp(-2j * np.pi / 3 * np.arange(3))
 
@@ -51,15 +53,15 @@ def test_a_good_drive_passes():
 def test_a_warm_winding_and_weak_magnets():
     """The machine file has the values of the cold, new motor."""
     cold, new_flux = 0.36 / (1 + 0.00393 * 90), 0.0125 / 0.85
-    _, items = page(machine=SERVO.with_values(R_s=cold, psi_f=new_flux))
+    _, items = page(WHOLE, SERVO.with_values(R_s=cold, psi_f=new_flux))
     temperature = items["winding temperature"]
     assert abs(temperature.value - 110) < 3 * temperature.std
     assert temperature.std < 15  # the scales of the sensors alone are 8 K
     assert items["magnet flux"].verdict == "look at it"
     assert "demagnetised" in items["magnet flux"].words
-    _, hot = page(machine=SERVO.with_values(R_s=0.36 / (1 + 0.00393 * 150)))
+    _, hot = page(WHOLE, SERVO.with_values(R_s=0.36 / (1 + 0.00393 * 150)))
     assert hot["winding temperature"].verdict == "look at it"
-    examined = fluxobs.check(GOOD, SERVO, cold_resistance=cold)
+    examined = fluxobs.check(WHOLE, SERVO, cold_resistance=cold)
     assert abs(next(i for i in examined.items if "temperature" in i.name).value - 110) < 8
 
 
@@ -119,17 +121,17 @@ def test_clipping_and_coarse_steps():
 
 @pytest.mark.slow
 def test_lost_samples_and_a_slow_logger():
-    keep = np.ones(len(GOOD["t"]), bool)
+    keep = np.ones(len(WHOLE["t"]), bool)
     keep[[500, 501, 2000, 4000]] = False
-    _, items = page({name: values[keep] for name, values in GOOD.items()})
+    _, items = page({name: values[keep] for name, values in WHOLE.items()})
     assert items["missing samples"].value == 4
     assert items["missing samples"].verdict == "look at it"
-    empty = {name: values.copy() for name, values in GOOD.items()}
+    empty = {name: values.copy() for name, values in WHOLE.items()}
     empty["i_alpha"][[700, 900]] = np.nan
     _, items = page(empty)
     assert items["missing samples"].value == 2
     assert "2 rows have an empty value" in items["missing samples"].words
-    slow = {name: values[::6] for name, values in GOOD.items()}
+    slow = {name: values[::6] for name, values in WHOLE.items()}
     examination = fluxobs.check(slow, SERVO)
     period = next((i for i in examination.items if i.name == "samples a period"), None)
     assert period is None or period.verdict == "look at it"
