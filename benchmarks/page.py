@@ -24,7 +24,7 @@ from fluxobs.page import built
 from fluxobs.presentation.report import write_report
 
 PATIENCE = 300_000
-#: What page and report are made from, besides the modules of fluxobs.
+#: Sources of page and report, besides the modules of fluxobs.
 SOURCES = ("web/*.*", "web/app/*", "web/runtime/*", "src/fluxobs/**/*.py")
 
 

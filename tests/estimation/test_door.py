@@ -64,7 +64,7 @@ def sources(folder):
 def test_every_form_of_a_log_gives_the_same_numbers(tmp_path):
     expected = None
     for name, (source, options) in sources(tmp_path).items():
-        # What an estimate does with the rows is tested elsewhere; forwards is quicker.
+        # The test is about reading; the causal estimate is the quickest.
         estimates = fluxobs.estimate(source, SERVO, causal=True, **options).estimates
         expected = estimates if expected is None else expected
         assert estimates.columns == expected.columns, name
