@@ -57,10 +57,10 @@ def frame(s: Specification, drawn: list[Scenario]) -> pl.DataFrame:
 )
 def test_rows_do_not_depend_on_their_batch(machine):
     s = specification(machines=[machine])
-    all_rows = rows_of(s, 0, 10).sort("number", "observer")  # more than one batch
+    all_rows = rows_of(s, 0, 6).sort("number", "observer")  # more than one batch
     assert all_rows["failed"].null_count() == len(all_rows)
-    assert all_rows["rms"].null_count() < 5
-    order = [6, 9, 0, 4, 8]
+    assert all_rows["rms"].null_count() < 3
+    order = [5, 0, 4]
     drawn = [scenarios(s, number, number + 1)[0] for number in order]
     some_rows = frame(s, drawn)
     assert some_rows.equals(all_rows.filter(pl.col("number").is_in(order)))

@@ -17,6 +17,8 @@ from fluxobs.machines import example, example_text
 from support.cli import fluxobs
 from support.records import COURSE_TIME, PMSM, course, driven, log_columns, profile
 
+pytestmark = pytest.mark.mistakes
+
 SQRT2, SQRT3 = np.sqrt(2), np.sqrt(3)
 COLUMNS = log_columns(course())
 

@@ -21,6 +21,8 @@ from fluxobs.checking.search import (
 from fluxobs.machines import example
 from support.records import PMSM
 
+pytestmark = pytest.mark.mistakes
+
 SYNRM, IPM = example("synrm-6kw7"), example("ipm-2kw2")
 PRECISE = np.full(4, 0.05)
 

@@ -17,6 +17,8 @@ from fluxobs.logs.for_machine import open_for
 from fluxobs.machines import example
 from support.records import COURSE_TIME, PMSM, course
 
+pytestmark = pytest.mark.mistakes
+
 ROWS = slice(1, -1)  # the first and last voltages are unknown
 SAMPLES = course()
 THETA = np.mod(SAMPLES.theta, 2 * np.pi)

@@ -21,6 +21,8 @@ from fluxobs.checking.segments import Segments, cut_segments, without_spikes
 from fluxobs.logs import read_log
 from support.records import CURRENTS, MACHINES, PMSM, course, log_columns, steady
 
+pytestmark = pytest.mark.mistakes
+
 LOOSE = Prior(np.zeros(4), np.diag([1.0, 1.0, 1.0, 100.0]))
 SAMPLES = course(inverter=5.0, smoothing=0.3)
 

@@ -119,6 +119,7 @@ def test_missing_machine_values_come_from_the_log(folder):
     assert np.abs(difference[-1500:]).max() < np.radians(0.1)
 
 
+@pytest.mark.mistakes
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_wrong_magnet_flux_is_noticed_and_harmless(folder, factor):
     text = (folder / "motor.toml").read_text()
@@ -201,6 +202,7 @@ def test_an_interrupted_run_leaves_no_file(folder, name):
     assert sorted(folder.iterdir()) == before
 
 
+@pytest.mark.mistakes
 def test_exchanged_phases_are_suspected(folder):
     log = pl.read_csv(folder / "log.csv")
     log.with_columns(-pl.col("i_beta")).write_csv(folder / "log.csv")

@@ -374,6 +374,7 @@ MISTAKES = {
 SEARCHED = ("line voltages as phase voltages", "currents out of the machine")
 
 
+@pytest.mark.mistakes
 @pytest.mark.parametrize(
     "name",
     [pytest.param(n, marks=pytest.mark.slow if n in SEARCHED else ()) for n in MISTAKES],

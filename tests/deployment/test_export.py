@@ -75,13 +75,17 @@ def test_command_line(tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.parametrize("unknowns", ["drift", ADAPTIVE])
+#: Pairs that differ in code path; the others are slow.
+QUICK = {(1e-4, 1, ADAPTIVE), (2e-5, 4, "drift")}
+RATES = [(1e-4, 1), (2e-5, 4), (2e-5, 1), (5e-5, 1), (2e-4, 1), (5e-5, 4), (1e-4, 4)]
+
+
 @pytest.mark.parametrize(
-    ("sample_time", "every"),
-    [(1e-4, 1), (2e-5, 4)]
-    + [
-        pytest.param(*rates, marks=pytest.mark.slow)
-        for rates in [(2e-5, 1), (5e-5, 1), (2e-4, 1), (5e-5, 4), (1e-4, 4)]
+    ("sample_time", "every", "unknowns"),
+    [
+        pytest.param(*rates, u, marks=() if (*rates, u) in QUICK else pytest.mark.slow)
+        for rates in RATES
+        for u in ("drift", ADAPTIVE)
     ],
 )
 def test_a_record_for_any_sample_time(tmp_path, sample_time, every, unknowns):

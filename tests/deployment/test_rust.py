@@ -14,7 +14,7 @@ CARGO = shutil.which("cargo")
 @pytest.mark.parametrize(
     ("machine", "unknowns"),
     [
-        ("servo-400w", "drift"),
+        pytest.param("servo-400w", "drift", marks=pytest.mark.slow),
         pytest.param("ipm-2kw2", "drift", marks=pytest.mark.slow),
         ("synrm-6kw7", "drift,resistance,inverter,asymmetry"),
     ],

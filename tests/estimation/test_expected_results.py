@@ -10,6 +10,8 @@ from fluxobs.simulation.closed_form.demo import LOG
 from support.expected import check
 from support.records import PMSM, SERVO, course, log_columns, steady
 
+pytestmark = pytest.mark.mistakes
+
 H = 1e-4
 
 

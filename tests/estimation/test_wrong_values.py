@@ -12,6 +12,8 @@ from fluxobs.simulation.closed_form.signals import driven
 from fluxobs.smoothing.record import SmoothingModel
 from support.records import PMSM, SERVO, white, wrapped_degrees
 
+pytestmark = pytest.mark.mistakes
+
 H, ROWS, PARTS = 1e-4, 8_000, 6
 T = H * np.arange(ROWS)
 FINE = np.linspace(0, T[-1], (ROWS - 1) * PARTS + 1)

@@ -10,6 +10,8 @@ from fluxobs.examination.item import Item, judge
 from fluxobs.machines import example
 from fluxobs.simulation.closed_form.demo import LOG, MACHINE
 
+pytestmark = pytest.mark.mistakes
+
 TABLE = np.genfromtxt(LOG, delimiter=",", names=True)
 WHOLE = {name: TABLE[name] for name in TABLE.dtype.names}
 #: The first second: run-up and load step.

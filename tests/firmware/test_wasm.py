@@ -18,8 +18,18 @@ EXPORTS = {
 }
 
 
-@pytest.mark.parametrize("precision", ["-DFO_SINGLE=1", "-DFO_SINGLE=0"])
-@pytest.mark.parametrize("name", EXPORTS)
+#: Each machine in one precision; the others are slow.
+QUICK = dict(zip(EXPORTS, 2 * ("-DFO_SINGLE=1", "-DFO_SINGLE=0"), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "precision"),
+    [
+        pytest.param(name, precision, marks=() if QUICK[name] == precision else pytest.mark.slow)
+        for name in EXPORTS
+        for precision in ("-DFO_SINGLE=1", "-DFO_SINGLE=0")
+    ],
+)
 def test_every_output_has_the_same_bits_in_webassembly(tmp_path, name, precision):
     folder = tmp_path / "motor"
     fluxobs.export(name.split(",")[0], 1e-4, folder, **EXPORTS[name])

@@ -137,7 +137,13 @@ def test_a_wrong_magnet_flux_does_no_harm(factor):
     assert estimate.valid[500:].all()
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=() if n in ("servo-400w", "synrm-6kw7") else pytest.mark.slow)
+        for n in MACHINES
+    ],
+)
 def test_never_valid_at_standstill_but_after_one_period_of_motion(name):
     """After ten noisy minutes with offsets at rest, the machine turns by one electrical period."""
     machine, h, rest_rows = MACHINES[name], 2e-4, 3_000_000

@@ -11,7 +11,13 @@ from fluxobs.simulation.closed_form import endless
 ROWS = 120_000  # 24 s
 
 
-@pytest.mark.parametrize(("warmer", "warming"), [(0.25, 40.0), (0.15, 100.0), (0.0, 1.0)])
+@pytest.mark.parametrize(
+    ("warmer", "warming"),
+    [
+        (0.25, 40.0),
+        *(pytest.param(*w, marks=pytest.mark.slow) for w in ((0.15, 100.0), (0.0, 1.0))),
+    ],
+)
 def test_heat_is_followed(monkeypatch, warmer, warming):
     monkeypatch.setattr(endless, "WARMER", warmer)
     monkeypatch.setattr(endless, "WARMING", warming)

@@ -148,7 +148,11 @@ def test_current_bias_alone():
 
 
 @pytest.mark.parametrize(
-    "make", [pytest.param(wound_field, marks=pytest.mark.slow), doubly_fed, four_pole_bearing]
+    "make",
+    [
+        *(pytest.param(m, marks=pytest.mark.slow) for m in (wound_field, doubly_fed)),
+        four_pole_bearing,
+    ],
 )
 def test_several_relations(make):
     """The relations are derived from the energies, for any number of ports."""
@@ -302,7 +306,7 @@ def motor(disturb):
     return state, estimate, error
 
 
-@pytest.mark.parametrize("rows", [1, 50, 600])
+@pytest.mark.parametrize("rows", [50, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 600))])
 def test_no_row_is_valid_while_samples_are_missing(rows):
     def gap(current):
         current[3000 : 3000 + rows] = np.nan
@@ -326,7 +330,9 @@ def test_three_missing_samples_are_bridged_and_more_erase_the_information(rows, 
     assert (growth < 1.1) == (not lost)
 
 
-@pytest.mark.parametrize("size", [10.0, 1e3, 1e6])
+@pytest.mark.parametrize(
+    "size", [10.0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1e3, 1e6))]
+)
 def test_a_spike_is_ignored(size):
     def spike(current):
         current[3000, 0] += size

@@ -795,7 +795,7 @@ def examples(case, most):
 def test_results_are_equal(node, name):
     refusals = []
 
-    @examples(CASES[name], 20)
+    @examples(CASES[name], 16)
     def check(args):
         found = fault(node, name, args)
         refusals.append(found == "refused")

@@ -3,6 +3,7 @@
 import importlib.util
 import re
 import tomllib
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -92,17 +93,47 @@ def equal(opened_page, expected, rounding=ROUNDING):
         ]
 
 
-@pytest.fixture(scope="module")
-def shared(browser, tmp_path_factory):
-    """One page for all logs of the corpus, since opening a page takes longer than estimating."""
+@contextmanager
+def opened_once(browser, tmp_path_factory, **options):
+    """A page for many tests: opening a page takes longer than estimating."""
     path = tmp_path_factory.mktemp("page") / "page.html"
     path.write_text(built("page.html"), encoding="utf-8")
-    context = browser.new_context(offline=True)
+    context = browser.new_context(offline=True, accept_downloads=True, **options)
     opened_page = Window(context.new_page(), path)
     opened_page.page.wait_for_selector("body[data-ready]")
     yield opened_page
     assert opened_page.silent()
     context.close()
+
+
+@pytest.fixture(scope="module")
+def shared(browser, tmp_path_factory):
+    """One page for all logs of the corpus."""
+    with opened_once(browser, tmp_path_factory) as opened_page:
+        yield opened_page
+
+
+@pytest.fixture(scope="module")
+def plain(browser, tmp_path_factory):
+    """A page with one log of the corpus."""
+    with opened_once(browser, tmp_path_factory) as opened_page:
+        estimated(opened_page, corpus.FOLDER / "plain.csv", example_text("servo-400w"))
+        yield opened_page
+
+
+@pytest.fixture(scope="module")
+def demo(browser, tmp_path_factory):
+    """A page with the demo log, opened without a mouse."""
+    size = {"width": 1200, "height": 900}
+    with opened_once(browser, tmp_path_factory, viewport=size) as opened_page:
+        keys = opened_page.page.keyboard
+        for _ in range(6):
+            keys.press("Tab")
+            if opened_page.js("() => document.activeElement.id") == "demo":
+                break
+        keys.press("Enter")
+        opened_page.page.wait_for_selector("body[data-done]")
+        yield opened_page
 
 
 #: One log for each reader; other logs are slow.
@@ -140,19 +171,15 @@ def test_other_formats_are_refused_with_a_remedy(shared, name):
     assert "fluxobs estimate" in message
 
 
-def test_the_demo_is_one_click(page):
-    opened_page = page(viewport={"width": 1200, "height": 900})
-    opened_page.page.click("#demo")
-    opened_page.page.wait_for_selector("body[data-done]")
-    assert "valid on" in opened_page.page.inner_text(".summary")
-    assert opened_page.page.inner_text("#command") == "fluxobs demo"
+def test_the_demo_is_one_click(demo):
+    assert "valid on" in demo.page.inner_text(".summary")
+    assert demo.page.inner_text("#command") == "fluxobs demo"
 
 
-def test_values_at_the_cursor_belong_to_one_row(page):
+def test_values_at_the_cursor_belong_to_one_row(demo):
     """This also holds where rows are thinned for drawing, and after a zoom."""
-    opened_page = page(viewport={"width": 1200, "height": 900})
-    opened_page.page.click("#demo")
-    opened_page.page.wait_for_selector("body[data-done]")
+    opened_page = demo
+    opened_page.page.set_viewport_size({"width": 1200, "height": 900})
     log = fluxobs.demo_log()
     true = np.degrees(np.concatenate([batch.truth for batch in log.aligned()]))
     panel = opened_page.page.locator("figure[data-panel=position]")
@@ -214,9 +241,8 @@ def test_a_log_and_a_machine_file_can_be_dropped(page):
     assert opened_page.page.locator("#opened").inner_text() == "dropped.csv"
 
 
-def test_currents_voltages_and_speed_are_drawn(page):
-    opened_page = page()
-    estimated(opened_page, corpus.FOLDER / "plain.csv", example_text("servo-400w"))
+def test_currents_voltages_and_speed_are_drawn(plain):
+    opened_page = plain
     result = fluxobs.estimate(corpus.FOLDER / "plain.csv", "servo-400w")
     lag = None if result.lag is None else result.lag.lag
     expected = signals(result.log, ("alpha", "beta"), lag, result["theta_e"], result["speed_e"])
@@ -322,15 +348,10 @@ def test_a_data_sheet_becomes_a_machine_file(page):
     assert written_machine == pytest.approx({k: v for k, v in wanted.items() if v is not None})
 
 
-def test_the_keyboard_alone_reaches_a_single_sample(page):
-    opened_page = page(viewport={"width": 1000, "height": 800})
+def test_the_keyboard_alone_reaches_a_single_sample(demo):
+    opened_page = demo
+    opened_page.page.set_viewport_size({"width": 1000, "height": 800})
     keys = opened_page.page.keyboard
-    for _ in range(6):
-        keys.press("Tab")
-        if opened_page.js("() => document.activeElement.id") == "demo":
-            break
-    keys.press("Enter")
-    opened_page.page.wait_for_selector("body[data-done]")
     for _ in range(60):
         keys.press("Tab")
         if opened_page.js("() => document.activeElement.dataset.panel === 'position'"):
@@ -348,19 +369,17 @@ def test_the_keyboard_alone_reaches_a_single_sample(page):
     assert "Arrow keys" in opened_page.js("() => document.activeElement.getAttribute('aria-label')")
 
 
-@pytest.mark.parametrize("scheme", ["dark", pytest.param("light", marks=pytest.mark.slow)])
-def test_the_page_fits_a_phone(page, scheme):
-    opened_page = page(viewport={"width": 400, "height": 800}, color_scheme=scheme)
-    opened_page.page.click("#demo")
-    opened_page.page.wait_for_selector("body[data-done]")
-    assert opened_page.js("() => document.documentElement.scrollWidth") <= 400
-    paper = opened_page.js("() => getComputedStyle(document.body).backgroundColor")
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_the_page_fits_a_phone(demo, scheme):
+    demo.page.set_viewport_size({"width": 400, "height": 800})
+    demo.page.emulate_media(color_scheme=scheme)
+    assert demo.js("() => document.documentElement.scrollWidth") <= 400
+    paper = demo.js("() => getComputedStyle(document.body).backgroundColor")
     assert (paper == "rgb(255, 255, 255)") == (scheme == "light")
 
 
-def test_files_can_be_saved(page):
-    opened_page = page()
-    estimated(opened_page, corpus.FOLDER / "plain.csv", example_text("servo-400w"))
+def test_files_can_be_saved(plain):
+    opened_page = plain
     with opened_page.page.expect_download() as saved:
         opened_page.page.click("#save-csv")
     table = pl.read_csv(saved.value.path())
@@ -375,9 +394,8 @@ def test_files_can_be_saved(page):
     assert 'kind = "surface-pmsm"' in Path(saved.value.path()).read_text()
 
 
-def test_a_slider_gives_what_the_library_gives(page):
-    opened_page = page()
-    estimated(opened_page, corpus.FOLDER / "plain.csv", example_text("servo-400w"))
+def test_a_slider_gives_what_the_library_gives(plain):
+    opened_page = plain
     opened_page.js(
         """() => { const s = document.getElementById("slider-R_s"); s.value = 0.5;
                   s.dispatchEvent(new Event("input")); }"""

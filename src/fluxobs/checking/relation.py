@@ -39,7 +39,8 @@ INDEPENDENT = 4.0
 #: Prior standard deviation of the drift, as a share of the voltage.
 DRIFT = 0.03
 ITERATIONS, HALVINGS = 25, 5
-#: The fit ends when an iteration lowers the cost by less than this.
+#: The fit ends when an iteration lowers the cost by less than this, or by less than this share of
+#: it: a cost of thousands never becomes the lowest.
 CONVERGED = 1e-3
 #: Number of iterations for the rotor angle at which a flux map is evaluated.
 ROUNDS = 3
@@ -264,7 +265,7 @@ class RelationResidual:
                 break
             gain = best.cost - trial.cost
             values, (offset, slope), best = trial_values, trial_flux, trial
-            if gain < CONVERGED:
+            if gain < CONVERGED * max(1.0, best.cost):
                 break
         with np.errstate(invalid="ignore", divide="ignore"):
             turned = np.ptp(np.unwrap(np.angle(best.position.x), axis=1), axis=1)
