@@ -43,6 +43,16 @@ def logs(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Estimate in this process: a pool imports the library again for each run."""
+
+    def compute(tasks, work, *arguments):
+        return ((task, work(task)) for task in tasks)
+
+    monkeypatch.setattr("fluxobs.fleets.batch.compute", compute)
+
+
 def run(logs: Path, out: Path, machine: str = "servo-400w", **options) -> pl.DataFrame:
     return estimate_many([logs], machine, out, workers=1, scheduler="pool", **options).table
 
@@ -75,6 +85,7 @@ def test_each_log_gets_the_same_results_as_alone(logs, tmp_path):
     assert (tmp_path / "out" / "summary.csv").read_text().count("\n") >= 4
 
 
+@pytest.mark.usefixtures("in_process")
 def test_logs_are_estimated_again_only_after_changes(logs, tmp_path):
     out, machine = tmp_path / "out", tmp_path / "motor.toml"
     machine.write_text(example_text("servo-400w"))
@@ -102,6 +113,7 @@ def test_logs_are_estimated_again_only_after_changes(logs, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_process")
 def test_failed_logs_are_retried_on_request(logs, tmp_path, monkeypatch):
     out = tmp_path / "out"
     run(logs, out)
@@ -124,6 +136,7 @@ def test_failed_logs_are_retried_on_request(logs, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("in_process")
 def test_a_corrected_machine_file_is_tried_again(logs, tmp_path):
     out = tmp_path / "out"
     for drive in ("a", "b"):
@@ -137,6 +150,7 @@ def test_a_corrected_machine_file_is_tried_again(logs, tmp_path):
     assert not len(estimate_many(good, machine, out, **options).failed)
 
 
+@pytest.mark.usefixtures("in_process")
 def test_logs_of_earlier_runs_stay_in_the_table(logs, tmp_path):
     out = tmp_path / "out"
     run(logs, out)
@@ -290,6 +304,7 @@ def test_wrong_arguments(logs, tmp_path):
         sources(["nosuch://bucket/x.csv"])
 
 
+@pytest.mark.usefixtures("in_process")
 def test_machines_by_drive(logs, tmp_path):
     for drive in ("a", "b"):
         shutil.copy(logs / "a" / "run_2024-05-01.csv", logs / "b" / "bad.csv")
@@ -300,6 +315,7 @@ def test_machines_by_drive(logs, tmp_path):
     assert "motor-b.toml: no such machine file" in table["failed"][1]
 
 
+@pytest.mark.usefixtures("in_process")
 def test_logs_of_a_web_server(logs, tmp_path):
     pytest.importorskip("aiohttp")
     handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(logs))

@@ -373,7 +373,7 @@ def test_the_keyboard_alone_reaches_a_single_sample(demo):
 def test_the_page_fits_a_phone(demo, scheme):
     demo.page.set_viewport_size({"width": 400, "height": 800})
     demo.page.emulate_media(color_scheme=scheme)
-    assert demo.js("() => document.documentElement.scrollWidth") <= 400
+    demo.until("() => document.documentElement.scrollWidth <= 400")
     paper = demo.js("() => getComputedStyle(document.body).backgroundColor")
     assert (paper == "rgb(255, 255, 255)") == (scheme == "light")
 
