@@ -14,7 +14,6 @@ import fluxobs as library
 from fluxobs.logs import Layout
 from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs, process
-from support.records import course, log_columns
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = (
@@ -54,9 +53,10 @@ def test_both_names_of_an_option_are_equivalent(tmp_path):
     for names in (("--column", "--from", "--to"), ("--columns", "--start", "--stop")):
         out = tmp_path / f"{len(tables)}.csv"
         column, start, stop = names
-        done = python(
-            *("fluxobs", "estimate", LOG, "--machine", "servo-400w", "--out", out),
+        done = fluxobs(
+            *("estimate", LOG, "--machine", "servo-400w", "--out", out),
             *(column, "u_alpha=u_alpha", "i_beta=i_beta", start, 0.1, stop, 0.5),
+            folder=tmp_path,
         )
         assert done.returncode == 0, done.stderr
         tables.append(out.read_text())
@@ -104,11 +104,9 @@ def test_the_command_and_the_library_give_the_same(tmp_path):
 
 
 def test_exit_codes_of_the_process(tmp_path):
-    columns = {name: values[:6000] for name, values in log_columns(course()).items()}
-    for name, sign in (("right", 1), ("wrong", -1)):
-        signed = {k: sign * v if k[0] == "i" else v for k, v in columns.items()}
-        pl.DataFrame(signed).write_parquet(tmp_path / f"{name}.parquet")
-    machine = ("--machine", "pmsm-2kw2")
+    log = pl.read_csv(LOG).head(2500).with_columns(-pl.col("i_alpha", "i_beta"))
+    log.write_parquet(tmp_path / "wrong.parquet")
+    machine = ("--machine", "servo-400w")
     wrong = process("check", "wrong.parquet", *machine, folder=tmp_path)
     assert (wrong.returncode, wrong.stderr) == (1, "")
     assert "NOT as given" in wrong.stdout
