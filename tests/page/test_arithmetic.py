@@ -868,6 +868,7 @@ def test_integers_beyond_a_double_are_an_error_of_the_function(node, name, args,
     assert answer["text"].startswith(f"{function}: ")
 
 
+@pytest.mark.slow  # it translates the package, as the build does
 def test_every_name_that_the_page_uses_has_a_case(node, monkeypatch):
     """Add a case for a new name to arithmetic.py."""
     modules = []

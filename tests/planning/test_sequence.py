@@ -31,11 +31,11 @@ def planner(wanted, priors=SCALES, name=NAME, **options):
 
 @pytest.fixture(scope="module", autouse=True)
 def fewer_set_points():
-    """A sixth of the set points: to evaluate all of them takes most of a plan's time."""
+    """A ninth of the set points: to evaluate all of them takes most of a plan's time."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(planning, "SPEEDS", (0.05, 0.2, 0.7))
         patch.setattr(planning, "LENGTHS", (0.35, 0.95))
-        patch.setattr(planning, "DIRECTIONS", 6)
+        patch.setattr(planning, "DIRECTIONS", 4)
         yield
 
 
