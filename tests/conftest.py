@@ -1,5 +1,6 @@
 """Settings of numerical libraries for the tests; these settings must precede all imports."""
 
+import gc
 import os
 import sys
 from importlib.util import find_spec
@@ -35,6 +36,12 @@ from hypothesis import settings  # noqa: E402
 # Tests are deterministic and have no deadline: a slow machine is not a failure.
 settings.register_profile("fluxobs", deadline=None, derandomize=True)
 settings.load_profile("fluxobs")
+
+
+def pytest_collection_finish():
+    """What is imported stays: the garbage collector need not search it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -324,6 +324,7 @@ def test_entrants_in_the_loop_of_a_drive(made, one_machine, tmp_path):
         loop.score_in_loop(entrants.entrant("whole-log"), made)
 
 
+@pytest.mark.slow
 def test_a_simulation_unit_is_an_entrant(made, tmp_path):
     """The unit that we export has the estimates of the observer from which it was made."""
     pytest.importorskip("fmpy")

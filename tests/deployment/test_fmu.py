@@ -26,7 +26,8 @@ STEP = 1e-4
 
 
 @pytest.fixture(
-    scope="module", params=["drift", ADAPTIVE, pytest.param("map", marks=pytest.mark.slow)]
+    scope="module",
+    params=[ADAPTIVE, *(pytest.param(u, marks=pytest.mark.slow) for u in ("drift", "map"))],
 )
 def units(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("fmu") / "motor"
