@@ -26,6 +26,9 @@ PAGE := src/fluxobs/page/page.html
 PAGE_SOURCES := $(wildcard web/*.py web/*.c web/*.json web/app/* web/runtime/*) binding/columns.h \
     $(shell find src/fluxobs -name '*.py')
 
+# Without stored byte code, each process compiles the package again.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: demo test test-times slow check lint warnings misra sanitize hosts pil fuzz bench numbers docs page clean
 
 demo: $(READY) $(PAGE)

@@ -50,8 +50,14 @@ def contents(folder):
     return {name: data for name, data in files.items() if not name.endswith(".fmu")}
 
 
-@pytest.mark.parametrize("unknowns", ["drift", "drift,resistance"])
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    ("form", "unknowns"),
+    [
+        pytest.param(form, unknowns, marks=() if k % 2 == m else pytest.mark.slow)
+        for k, form in enumerate(FORMS)
+        for m, unknowns in enumerate(("drift", "drift,resistance"))
+    ],
+)
 def test_the_name_of_a_table_is_inert(tmp_path, monkeypatch, form, unknowns):
     """Except for the name and its hashes, the export equals an export with another name."""
     monkeypatch.setattr(build, "compile_shared", lambda *arguments: b"")

@@ -27,7 +27,7 @@ def estimate(machine, amplitude=1.0, repeat=1, **conditions):
 @pytest.mark.parametrize(
     ("machine", "conditions"),
     [
-        (interior(1.5), {}),
+        pytest.param(interior(1.5), {}, marks=pytest.mark.slow),
         pytest.param(
             *(interior(1.2), {"wave": (1, 1, -1, -1), "amplitude": 1.5}),
             marks=pytest.mark.slow,

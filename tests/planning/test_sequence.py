@@ -90,6 +90,7 @@ def test_what_a_test_promises_comes_true(planned):
             assert abs(parameter.value - right) < 2 * max(promised, parameter.std), parameter.name
 
 
+@pytest.mark.slow
 def test_a_stricter_wish_takes_longer(planned):
     plan, _ = planned
     loose = planner({"R_s": 0.3 * plan.machine.R_s}).plan()

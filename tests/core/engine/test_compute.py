@@ -62,6 +62,7 @@ def test_an_error_in_a_task_reaches_the_driver(running: str) -> None:
         list(compute(range(10), tasks.refuse_seven, 2, running))
 
 
+@pytest.mark.parametrize("scheduler", DYING, indirect=True)
 def test_a_task_that_kills_its_worker_once_is_done_again(scheduler: str, tmp_path: Path) -> None:
     work = partial(tasks.die_once, str(tmp_path))
     assert sorted(compute(range(6), work, 2, scheduler)) == [(k, k) for k in range(6)]
