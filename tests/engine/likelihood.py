@@ -1,0 +1,101 @@
+"""The likelihood of engine/innovations.c from Python."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import tempfile
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from support.compiling import build_program
+
+Array = NDArray[np.float64]
+ENGINE = Path(__file__).parents[2] / "engine"
+#: Names of the parameters, in the order of the C source.
+NAMES = tuple(re.findall(r"NAME\((\w+)\)", (ENGINE / "parameters.h").read_text("utf-8")))
+N = len(NAMES)
+INDEX = {name: k for k, name in enumerate(NAMES)}
+NUMBERS = ctypes.POINTER(ctypes.c_double)
+
+
+class _Log(ctypes.Structure):
+    _fields_ = (
+        ("rows", ctypes.c_size_t),
+        ("sample_time", ctypes.c_double),
+        ("voltage", NUMBERS),
+        ("current", NUMBERS),
+        ("knee", ctypes.c_double),
+    )
+
+
+class Start(ctypes.Structure):
+    """The state at the first row, with standard deviations; see engine/innovations.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_double) for name in ("angle", "angle_std", "speed", "speed_std")),
+        *((name, ctypes.c_double) for name in ("flux_std", "drift_std")),
+        ("skipped", ctypes.c_size_t),
+    )
+
+
+class _Likelihood(ctypes.Structure):
+    _fields_ = (
+        ("objective", ctypes.c_double),
+        ("score", ctypes.c_double * N),
+        ("information", ctypes.c_double * (N * N)),
+        ("mean_square", ctypes.c_double),
+        ("counted", ctypes.c_size_t),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """Objective, its derivative, and the expected second derivative."""
+
+    objective: float
+    score: Array
+    information: Array
+    mean_square: float
+    angle: Array
+
+
+@cache
+def library(source: Path = ENGINE / "innovations.c") -> ctypes.CDLL:
+    """Compile a source as a shared library, and load it."""
+    options = ["-std=c99", "-O3", "-ffp-contract=off", "-fPIC", "-shared", f"-I{ENGINE}"]
+    with tempfile.TemporaryDirectory() as folder:
+        built = build_program(["gcc"], options, [source], Path(folder) / "engine.so")
+        loaded = ctypes.CDLL(str(built))
+    loaded.fo_innovations.restype = ctypes.c_bool
+    return loaded
+
+
+def likelihood(
+    voltage: NDArray[np.complex128],
+    current: NDArray[np.complex128],
+    sample_time: float,
+    parameters: Array,
+    start: Start,
+    knee: float = 1.0,
+    own: ctypes.CDLL | None = None,
+) -> Likelihood:
+    """Evaluate a log at the parameters; AssertionError if a number is not finite."""
+
+    def pointer(values: Array) -> ctypes._Pointer[ctypes.c_double]:
+        return values.ctypes.data_as(NUMBERS)
+
+    u, i = (np.ascontiguousarray(np.stack([x.real, x.imag], axis=1)) for x in (voltage, current))
+    p = np.ascontiguousarray(parameters, float)
+    angle, out = np.empty(len(i)), _Likelihood()
+    log = _Log(len(i), sample_time, pointer(u), pointer(i), knee)
+    done = (own or library()).fo_innovations(
+        ctypes.byref(log), pointer(p), ctypes.byref(start), ctypes.byref(out), pointer(angle)
+    )
+    assert done, "the covariance is not positive, or a number is not finite"
+    information = np.array(out.information).reshape(N, N)
+    return Likelihood(out.objective, np.array(out.score), information, out.mean_square, angle)

@@ -1,0 +1,149 @@
+"""Synchronous machines under a current controller that knows the log only: no encoder.
+
+The speed is a random walk, as the likelihood assumes. The controller's angle is that of its own
+flux observer. With an encoder, the voltages would tell more about the rotor than the currents do,
+and an estimator that sees neither encoder nor its noise could not be unbiased.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+SPEED = 250.0  # [rad/s], at the first row
+#: Time and i_q of the set points.
+LOADS = ((0.0, 0.2, 0.201, 0.4, 0.401, 0.6), (3.0, 3.0, 2.0, 2.0, 8.0, 8.0))
+#: Steps of the integration in a sampling interval.
+SUBSTEPS = 2
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """A drive and its errors; units are SI, `lag` in samples.
+
+    `bandwidth` is kp h / L of the current controller; `moving_mean` the number of samples over
+    which the sensor's noise is averaged.
+    """
+
+    R: float = 0.36
+    L_d: float = 6e-4
+    L_q: float = 6e-4
+    psi: float = 0.0125
+    noise: float = 0.03
+    bandwidth: float = 0.35
+    lag: int = 0
+    i_d: float = 0.0
+    acceleration: float = 150.0
+    duration: float = 0.6
+    sample_time: float = 1e-4
+    moving_mean: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Voltages and currents of many drives, (rows, drives), and the true angle."""
+
+    voltage: Complex
+    current: Complex
+    angle: Array
+
+
+def simulated(conditions: Conditions, drives: int, seed: int = 0) -> Record:
+    """Simulate drives that differ in noise, speed and first angle."""
+    c, rng = conditions, np.random.default_rng(seed)
+    h, rows = c.sample_time, round(c.duration / c.sample_time)
+    white = rng.standard_normal((rows + c.moving_mean - 1, drives, 2)) @ [1, 1j]
+    kernel = np.full(c.moving_mean, c.noise / np.sqrt(c.moving_mean))
+    noise = sum(k * white[n : n + rows] for n, k in enumerate(kernel))
+    steps = c.acceleration * np.sqrt(h) * rng.standard_normal((rows, drives))
+    speeds = SPEED + np.cumsum(steps, axis=0)
+    angle = rng.uniform(0, 2 * np.pi, drives)
+
+    def flux_of(i: Complex) -> Complex:
+        return c.L_d * i.real + 1j * c.L_q * i.imag + c.psi
+
+    def current_of(flux: Complex) -> Complex:
+        return (flux.real - c.psi) / c.L_d + 1j * flux.imag / c.L_q
+
+    def wanted(t: float) -> complex:
+        return complex(c.i_d, np.interp(t, *LOADS))
+
+    flux = flux_of(np.full(drives, wanted(0.0)))
+    own = Controller(c, angle, flux * np.exp(1j * angle))
+    before = np.zeros(drives, complex)
+    record = Record(*(np.empty((rows, drives), kind) for kind in (complex, complex, float)))
+    for k in range(rows):
+        measured = current_of(flux) * np.exp(1j * angle) + noise[k]
+        voltage = own.voltage(measured, wanted(k * h), flux_of)
+        record.voltage[k], record.current[k], record.angle[k] = voltage, measured, angle
+        applied, before = (before if c.lag else voltage), voltage
+        own.integrate(applied, measured)
+        flux = _through(flux, angle, speeds[k], applied, h, c.R, current_of)
+        angle = angle + h * speeds[k]
+    return record
+
+
+class Controller:
+    """PI current control in the coordinates of a gradient observer of the flux."""
+
+    def __init__(self, conditions: Conditions, angle: Array, flux: Complex) -> None:
+        self.c, self.angle, self.flux = conditions, angle.copy(), flux.copy()
+        self.speed, self.integral = np.full(len(angle), SPEED), np.zeros(len(angle), complex)
+        self.i_d = np.zeros(len(angle))
+
+    def voltage(
+        self, measured: Complex, wanted: complex, flux_of: Callable[[Complex], Complex]
+    ) -> Complex:
+        c = self.c
+        error = np.angle((self.flux - c.L_q * measured) * np.exp(-1j * self.angle))
+        self.angle += 0.2 * error
+        self.speed += 0.01 * error / c.sample_time
+        current = measured * np.exp(-1j * self.angle)
+        self.i_d, difference = current.real, wanted - current
+        gain = c.bandwidth / c.sample_time
+        drop = gain * (c.L_d * difference.real + 1j * c.L_q * difference.imag)
+        command = drop + self.integral + 1j * self.speed * flux_of(current)
+        self.integral = self.integral + c.bandwidth * c.R * difference
+        return command * np.exp(1j * (self.angle + 0.5 * c.sample_time * self.speed))
+
+    def integrate(self, applied: Complex, measured: Complex) -> None:
+        c, h = self.c, self.c.sample_time
+        active = self.flux - c.L_q * measured
+        excess = c.psi + (c.L_d - c.L_q) * self.i_d - np.abs(active)
+        self.flux = self.flux + h * (applied - c.R * measured) + 100 * h * active / c.psi * excess
+        self.angle += h * self.speed
+
+
+def _through(
+    flux: Complex,
+    angle: Array,
+    speed: Array,
+    voltage: Complex,
+    h: float,
+    R: float,
+    current_of: Callable[[Complex], Complex],
+) -> Complex:
+    """Return the flux in rotor coordinates after an interval (Runge–Kutta, fourth order)."""
+
+    def slope(x: Complex, t: float) -> Complex:
+        u = voltage * np.exp(-1j * (angle + speed * t))
+        return u - R * current_of(x) - 1j * speed * x
+
+    g = h / SUBSTEPS
+    for n in range(SUBSTEPS):
+        t = n * g
+        k1 = slope(flux, t)
+        k2 = slope(flux + 0.5 * g * k1, t + 0.5 * g)
+        k3 = slope(flux + 0.5 * g * k2, t + 0.5 * g)
+        k4 = slope(flux + g * k3, t + g)
+        flux = flux + g / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return flux
+
+
+SURFACE = Conditions()
+INTERIOR = replace(SURFACE, L_d=4e-4, L_q=9e-4, i_d=-2.0)

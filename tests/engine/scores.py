@@ -1,0 +1,86 @@
+"""Scores of the likelihood at the true parameters, over many drives."""
+
+from __future__ import annotations
+
+from ctypes import CDLL
+from dataclasses import dataclass
+
+import numpy as np
+
+from engine.likelihood import INDEX, Array, Likelihood, N, Start, likelihood
+from engine.loop import SPEED, Conditions, Record, simulated
+
+#: Parameters whose score must have mean zero.
+TESTED = ("resistance", "L_d", "L_q", "psi_f", "loss", "lag", "noise", "acceleration")
+SKIPPED = 300
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Scores (drives, parameters) and the mean information, at the true parameters."""
+
+    scores: Array
+    information: Array
+
+    def deviation(self) -> Array:
+        """Return the mean score of each tested parameter, in standard errors."""
+        tested = self.scores[:, [INDEX[name] for name in TESTED]]
+        return np.asarray(tested.mean(axis=0) / (tested.std(axis=0) / np.sqrt(len(tested))))
+
+    def bias(self) -> Array:
+        """Return the bias of each tested parameter on one record, in standard deviations."""
+        at = [INDEX[name] for name in TESTED]
+        covariance = np.linalg.inv(self.information[np.ix_(at, at)])
+        shift = -covariance @ self.scores[:, at].mean(axis=0)
+        return np.asarray(shift / np.sqrt(np.diag(covariance)))
+
+    def spread(self) -> Array:
+        """Return the std of each tested score over the root of its information."""
+        at = [INDEX[name] for name in TESTED]
+        return np.asarray(self.scores[:, at].std(axis=0) / np.sqrt(np.diag(self.information)[at]))
+
+
+def parameters_of(c: Conditions) -> Array:
+    """Return the true parameters; the drive has no error of the voltages."""
+    p = np.zeros(N)
+    given = {"resistance": c.R, "L_d": c.L_d, "L_q": c.L_q, "psi_f": c.psi, "noise": c.noise}
+    given |= {"acceleration": c.acceleration, "voltage": 1e-6, "drift": 1e-3}
+    for name, value in given.items():
+        p[INDEX[name]] = np.log(value)
+    p[INDEX["lag"]] = c.lag
+    return p
+
+
+def starts(record: Record, seed: int = 5) -> list[Start]:
+    """Return a start near each true angle, with its standard deviation."""
+    rng = np.random.default_rng(seed)
+    return [
+        Start(
+            angle=first + 0.03 * rng.standard_normal(),
+            angle_std=0.03,
+            speed=SPEED + 10.0 * rng.standard_normal(),
+            speed_std=10.0,
+            flux_std=1e-3,
+            drift_std=0.05,
+            skipped=SKIPPED,
+        )
+        for first in record.angle[0]
+    ]
+
+
+def evaluated(
+    p: Array, c: Conditions, record: Record, begin: list[Start], k: int, own: CDLL | None = None
+) -> Likelihood:
+    u, i = record.voltage[:, k], record.current[:, k]
+    return likelihood(u, i, c.sample_time, p, begin[k], own=own)
+
+
+def scores_at_the_truth(
+    c: Conditions, drives: int, own: CDLL | None = None, seed: int = 1
+) -> Scores:
+    """Simulate drives, and evaluate the score of each drive."""
+    record = simulated(c, drives, seed)
+    begin, p = starts(record), parameters_of(c)
+    done = [evaluated(p, c, record, begin, k, own) for k in range(drives)]
+    information = np.mean([one.information for one in done], axis=0)
+    return Scores(np.array([one.score for one in done]), np.asarray(information))

@@ -1,0 +1,76 @@
+"""The score of the likelihood of a log: exact, and of mean zero at the true parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from engine.likelihood import NAMES, N, Start, likelihood
+from engine.loop import INTERIOR, SURFACE, Conditions, simulated
+from engine.score_table import ERRORS, with_error
+from engine.scores import TESTED, parameters_of, scores_at_the_truth
+
+#: Drives of a test. The mean of a score is within 3.5 standard errors of zero for each of 7
+#: parameters with a probability of 0.997; its standard deviation within 3.5 of its own errors.
+DRIVES, MOST = 40, 3.5
+SPREAD = MOST / np.sqrt(2 * DRIVES)
+
+CONDITIONS = {
+    "surface": SURFACE,
+    "interior, delayed, fast controller": replace(INTERIOR, lag=1, bandwidth=0.25),
+    "surface, loud": replace(SURFACE, noise=0.1),
+    "surface, quiet": replace(SURFACE, noise=0.01),
+    "surface, slow controller": replace(SURFACE, bandwidth=0.05),
+    "surface, delayed": replace(SURFACE, lag=1, bandwidth=0.2),
+    "interior": INTERIOR,
+    "interior, quiet": replace(INTERIOR, noise=0.01),
+}
+QUICK = tuple(CONDITIONS)[:2]
+
+
+@pytest.mark.parametrize("conditions", [SURFACE, INTERIOR], ids=["surface", "interior"])
+def test_score_is_the_derivative_of_the_objective(conditions):
+    """Away from the truth, with every parameter at work."""
+    record = simulated(replace(conditions, duration=0.08), 1)
+    u, i = record.voltage[:, 0], record.current[:, 0].copy()
+    i[300:303] = np.nan
+    p = parameters_of(conditions) + 0.1
+    p[[NAMES.index("voltage"), NAMES.index("drift")]] = np.log([1e-3, 0.3])
+    start = Start(float(record.angle[0, 0]), 0.1, 240.0, 30.0, 1e-3, 0.1, 20)
+    got = likelihood(u, i, 1e-4, p, start)
+    for k, name in enumerate(NAMES):
+        step = 1e-5 * np.eye(N)[k]
+        above, below = (likelihood(u, i, 1e-4, p + s * step, start).objective for s in (1, -1))
+        assert got.score[k] == pytest.approx((above - below) / 2e-5, rel=1e-5, abs=1e-3), name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in CONDITIONS],
+)
+def test_score_has_mean_zero_and_its_information_at_the_truth(name):
+    """Whatever noise, controller, delay and machine."""
+    got = scores_at_the_truth(CONDITIONS[name], DRIVES)
+    for n, deviation in enumerate(got.deviation()):
+        assert abs(deviation) < MOST, TESTED[n]
+    for n, spread in enumerate(got.spread()):
+        assert abs(spread - 1) < SPREAD, TESTED[n]
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_a_deliberate_error_is_seen(tmp_path, error):
+    """Noise of the current returns in the voltages of the controller: R i must not take it."""
+    own = with_error(ERRORS[error], tmp_path)
+    loud = replace(SURFACE, noise=0.1)
+    assert np.abs(scores_at_the_truth(loud, DRIVES, own).deviation()).max() > 2 * MOST
+
+
+def test_numbers_that_cannot_be_end_the_evaluation():
+    record = simulated(replace(SURFACE, duration=0.02), 1)
+    u, i = record.voltage[:, 0].copy(), record.current[:, 0]
+    u[50] = np.nan
+    start = Start(0.0, 0.1, 240.0, 30.0, 1e-3, 0.1, 0)
+    with pytest.raises(AssertionError, match="not finite"):
+        likelihood(u, i, 1e-4, parameters_of(Conditions()), start)
