@@ -3,7 +3,7 @@
  * What is measured is the current: i_k = f(λ_k, θ_k) + n_k. The flux λ is driven by the applied
  * voltages and by the *predicted* current (R i, loss of the inverter): noise of the current enters
  * once, after the inputs that depend on it are known, so the score has mean zero at the true
- * parameters although a controller answers the noise. Derivation: docs/theory.md, section 24. */
+ * parameters although a controller answers the noise. Derivation: docs/theory.md, section 20. */
 #ifndef FLUXOBS_INNOVATIONS_H
 #define FLUXOBS_INNOVATIONS_H
 

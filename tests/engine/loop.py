@@ -27,7 +27,8 @@ class Conditions:
     """A drive and its errors; units are SI, `lag` in samples.
 
     `bandwidth` is kp h / L of the current controller; `moving_mean` the number of samples over
-    which the sensor's noise is averaged.
+    which the sensor's noise is averaged; `drift` the std of a component of the logged
+    voltages' constant error.
     """
 
     R: float = 0.36
@@ -42,6 +43,7 @@ class Conditions:
     duration: float = 0.6
     sample_time: float = 1e-4
     moving_mean: int = 1
+    drift: float = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +65,7 @@ def simulated(conditions: Conditions, drives: int, seed: int = 0) -> Record:
     steps = c.acceleration * np.sqrt(h) * rng.standard_normal((rows, drives))
     speeds = SPEED + np.cumsum(steps, axis=0)
     angle = rng.uniform(0, 2 * np.pi, drives)
+    drift = c.drift * (rng.standard_normal((drives, 2)) @ [1, 1j])
 
     def flux_of(i: Complex) -> Complex:
         return c.L_d * i.real + 1j * c.L_q * i.imag + c.psi
@@ -80,7 +83,8 @@ def simulated(conditions: Conditions, drives: int, seed: int = 0) -> Record:
     for k in range(rows):
         measured = current_of(flux) * np.exp(1j * angle) + noise[k]
         voltage = own.voltage(measured, wanted(k * h), flux_of)
-        record.voltage[k], record.current[k], record.angle[k] = voltage, measured, angle
+        record.voltage[k], record.current[k] = voltage + drift, measured
+        record.angle[k] = angle
         applied, before = (before if c.lag else voltage), voltage
         own.integrate(applied, measured)
         flux = _through(flux, angle, speeds[k], applied, h, c.R, current_of)

@@ -1,6 +1,6 @@
 """Mean and spread of the score at the true parameters, over noise, controller, delay and machine.
 
-    python tests/engine/score_table.py [--drives 200] [--write]
+    python tests/engine/score_table.py [--drives 400] [--write]
 
 Each cell has the mean score in standard errors, and its standard deviation over that which the
 information states. Two deliberate errors follow.
@@ -75,7 +75,7 @@ def rows(drives: int) -> Iterator[list[str]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--drives", type=int, default=200)
+    parser.add_argument("--drives", type=int, default=400)
     parser.add_argument("--write", action="store_true", help="write docs/numbers/score_table.json")
     drives = parser.parse_args().drives
     with Numbers("score_table", ["engine/*.[ch]", "tests/engine/*.py"]) as numbers:

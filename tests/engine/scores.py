@@ -41,7 +41,7 @@ class Scores:
 
 
 def parameters_of(c: Conditions) -> Array:
-    """Return the true parameters; the drive has no error of the voltages."""
+    """Return the true parameters; the voltages have a constant error only."""
     p = np.zeros(N)
     given = {"resistance": c.R, "L_d": c.L_d, "L_q": c.L_q, "psi_f": c.psi, "noise": c.noise}
     given |= {"acceleration": c.acceleration, "voltage": 1e-6, "drift": 1e-3}
@@ -51,7 +51,7 @@ def parameters_of(c: Conditions) -> Array:
     return p
 
 
-def starts(record: Record, seed: int = 5) -> list[Start]:
+def starts(record: Record, drift: float, seed: int = 5) -> list[Start]:
     """Return a start near each true angle, with its standard deviation."""
     rng = np.random.default_rng(seed)
     return [
@@ -60,8 +60,8 @@ def starts(record: Record, seed: int = 5) -> list[Start]:
             angle_std=0.03,
             speed=SPEED + 10.0 * rng.standard_normal(),
             speed_std=10.0,
-            flux_std=1e-3,
-            drift_std=0.05,
+            flux_std=4e-4,
+            drift_std=drift,
             skipped=SKIPPED,
         )
         for first in record.angle[0]
@@ -80,7 +80,7 @@ def scores_at_the_truth(
 ) -> Scores:
     """Simulate drives, and evaluate the score of each drive."""
     record = simulated(c, drives, seed)
-    begin, p = starts(record), parameters_of(c)
+    begin, p = starts(record, c.drift), parameters_of(c)
     done = [evaluated(p, c, record, begin, k, own) for k in range(drives)]
     information = np.mean([one.information for one in done], axis=0)
     return Scores(np.array([one.score for one in done]), np.asarray(information))
