@@ -72,7 +72,7 @@ COMPILERS ?= gcc clang
 warnings:
 	@for cc in $(COMPILERS); do for precision in -DFO_SINGLE=0 -DFO_SINGLE=1; do \
 	    echo "$$cc $(STRICT) $$precision"; \
-	    for source in $(FIRMWARE); do \
+	    for source in $(FIRMWARE) $(ENGINE); do \
 	        $$cc $(STRICT) $$precision -c $$source -o /dev/null || exit 1; \
 	    done; \
 	done; done

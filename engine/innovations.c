@@ -7,15 +7,17 @@
 
 /* Errors of the state, in the coordinates of the estimated rotor: there the matrices of the filter
  * depend on the parameters, on the speed and on i_dq only, and change slowly. */
-enum { FLUX_D, FLUX_Q, ANGLE, SPEED, DRIFT_D, DRIFT_Q, STATES };
+enum { FLUX_D, FLUX_Q, ANGLE, SPEED, DRIFT_D, DRIFT_Q, NOISE_D, NOISE_Q, STATES };
 
 typedef struct {
-    fo_dual R, L_d, L_q, inverse_d, inverse_q, psi, loss, lag;
+    fo_dual R, L_d, L_q, inverse_d, inverse_q, psi, loss, lag, pole, gain;
     fo_dual noise, acceleration, voltage, drift; /* variances */
 } model;
 
 typedef struct {
-    fo_pair flux, drift; /* stator coordinates */
+    fo_pair flux, drift, noise; /* stator coordinates; the noise's predictable part */
+    fo_pair residual;           /* of the last measurement, after its update */
+    bool measured;
     fo_dual angle, speed;
     fo_dual P[STATES][STATES];
 } state;
@@ -42,6 +44,8 @@ static model model_of(const double p[FO_L])
     m.psi = fo_exp_of(fo_unknown(p[FO_L_psi_f], FO_L_psi_f));
     m.loss = fo_unknown(p[FO_L_loss], FO_L_loss);
     m.lag = fo_unknown(p[FO_L_lag], FO_L_lag);
+    m.pole = fo_unknown(p[FO_L_colour_pole], FO_L_colour_pole);
+    m.gain = fo_unknown(p[FO_L_colour_gain], FO_L_colour_gain);
     m.noise = variance(p[FO_L_noise], FO_L_noise);
     m.acceleration = variance(p[FO_L_acceleration], FO_L_acceleration);
     m.voltage = variance(p[FO_L_voltage], FO_L_voltage);
@@ -93,7 +97,8 @@ static void start_at(const fo_log *log, const model *m, const fo_start *start, s
 {
     x->angle = fo_constant(start->angle);
     x->speed = fo_constant(start->speed);
-    x->drift = fo_constant_pair(0.0, 0.0);
+    x->drift = x->noise = x->residual = fo_constant_pair(0.0, 0.0);
+    x->measured = false;
     const fo_pair unit = fo_unit(x->angle);
     const double *i = log->current;
     const bool known = isfinite(i[0]) && isfinite(i[1]);
@@ -104,9 +109,10 @@ static void start_at(const fo_log *log, const model *m, const fo_start *start, s
     x->flux = fo_turned(in_rotor, unit);
     for (int r = 0; r < STATES; r++)
         for (int c = 0; c < STATES; c++) x->P[r][c] = fo_constant(0.0);
-    const double stds[STATES] = {start->flux_std,  start->flux_std,  start->angle_std,
-                                 start->speed_std, start->drift_std, start->drift_std};
-    for (int r = 0; r < STATES; r++) x->P[r][r].v = stds[r] * stds[r];
+    const double stds[NOISE_D] = {start->flux_std,  start->flux_std,  start->angle_std,
+                                  start->speed_std, start->drift_std, start->drift_std};
+    for (int r = 0; r < NOISE_D; r++) x->P[r][r].v = stds[r] * stds[r];
+    x->P[NOISE_D][NOISE_D] = x->P[NOISE_Q][NOISE_Q] = fo_mul(fo_mul(m->gain, m->gain), m->noise);
 }
 
 /* Adds the information of a component with these derivatives. */
@@ -116,21 +122,33 @@ static void add_information(double weight, const double *a, const double *b, dou
         for (int c = 0; c < FO_L; c++) information[r * FO_L + c] += weight * a[r] * b[c];
 }
 
+/* Row `a` of H P Hᵀ, from P Hᵀ. */
+static fo_dual observed(const model *m, const prediction *p, fo_dual PH[STATES][2], int a, int b)
+{
+    const fo_dual inverse = a ? m->inverse_q : m->inverse_d;
+    const fo_dual by_flux = fo_mac(PH[NOISE_D + a][b], inverse, PH[FLUX_D + a][b]);
+    return fo_mac(by_flux, p->by_angle[a], PH[ANGLE][b]);
+}
+
 /* Measurement update; adds to the likelihood if the row counts. */
 static bool measure(const model *m, const double measured[2], bool counts, state *x,
                     fo_likelihood *out)
 {
     const prediction p = predict(m, x->flux, x->angle);
     const fo_pair y = fo_turned_back(fo_constant_pair(measured[0], measured[1]), p.unit);
-    const fo_dual e[2] = {fo_sub(y.a, p.current.a), fo_sub(y.b, p.current.b)};
+    const fo_pair coloured = fo_turned_back(x->noise, p.unit);
+    const fo_dual e[2] = {fo_sub(fo_sub(y.a, p.current.a), coloured.a),
+                          fo_sub(fo_sub(y.b, p.current.b), coloured.b)};
     fo_dual PH[STATES][2], S[2][2];
     for (int r = 0; r < STATES; r++) {
-        PH[r][0] = fo_mac(fo_mul(x->P[r][FLUX_D], m->inverse_d), x->P[r][ANGLE], p.by_angle[0]);
-        PH[r][1] = fo_mac(fo_mul(x->P[r][FLUX_Q], m->inverse_q), x->P[r][ANGLE], p.by_angle[1]);
+        PH[r][0] = fo_mac(fo_mac(x->P[r][NOISE_D], x->P[r][FLUX_D], m->inverse_d), x->P[r][ANGLE],
+                          p.by_angle[0]);
+        PH[r][1] = fo_mac(fo_mac(x->P[r][NOISE_Q], x->P[r][FLUX_Q], m->inverse_q), x->P[r][ANGLE],
+                          p.by_angle[1]);
     }
-    S[0][0] = fo_mac(fo_mac(m->noise, m->inverse_d, PH[FLUX_D][0]), p.by_angle[0], PH[ANGLE][0]);
-    S[0][1] = fo_mac(fo_mul(m->inverse_d, PH[FLUX_D][1]), p.by_angle[0], PH[ANGLE][1]);
-    S[1][1] = fo_mac(fo_mac(m->noise, m->inverse_q, PH[FLUX_Q][1]), p.by_angle[1], PH[ANGLE][1]);
+    S[0][0] = fo_add(m->noise, observed(m, &p, PH, 0, 0));
+    S[0][1] = observed(m, &p, PH, 0, 1);
+    S[1][1] = fo_add(m->noise, observed(m, &p, PH, 1, 1));
     const fo_dual det = fo_msub(fo_mul(S[0][0], S[1][1]), S[0][1], S[0][1]);
     if (!(det.v > 0.0) || !isfinite(det.v) || !isfinite(e[0].v)) return false;
     const fo_dual inverse = fo_inverse(det);
@@ -169,9 +187,14 @@ static bool measure(const model *m, const double measured[2], bool counts, state
             x->P[c][r] = x->P[r][c];
         }
     }
-    const fo_pair flux = {change[FLUX_D], change[FLUX_Q]}, drift = {change[DRIFT_D], change[DRIFT_Q]};
+    const fo_pair flux = {change[FLUX_D], change[FLUX_Q]}, drift = {change[DRIFT_D], change[DRIFT_Q]},
+                  noise = {change[NOISE_D], change[NOISE_Q]},
+                  residual = {fo_mul(m->noise, w[0]), fo_mul(m->noise, w[1])};
     x->flux = fo_added(x->flux, 1.0, fo_turned(flux, p.unit));
     x->drift = fo_added(x->drift, 1.0, fo_turned(drift, p.unit));
+    x->noise = fo_added(x->noise, 1.0, fo_turned(noise, p.unit));
+    x->residual = fo_turned(residual, p.unit);
+    x->measured = true;
     x->angle = fo_add(x->angle, change[ANGLE]);
     x->speed = fo_add(x->speed, change[SPEED]);
     return true;
@@ -192,6 +215,27 @@ static void turn_covariance(fo_dual P[STATES][STATES], int at, fo_pair unit)
     }
 }
 
+typedef struct {
+    double h;
+    fo_dual keep[2], by_angle[2], pole, gain;
+    fo_dual inverse[2], current_by_angle[2]; /* the measurement of the row */
+} transition;
+
+/* Errors of the state after an interval, in the coordinates before it. w of the row is the
+ * residual: its error is that of the predicted current and noise. */
+static void moved(const transition *F, fo_dual e[STATES])
+{
+    const fo_dual angle = fo_axpy(e[ANGLE], 0.5 * F->h, e[SPEED]);
+    for (int a = 0; a < 2; a++) {
+        const fo_dual wrong = fo_mac(fo_mac(e[NOISE_D + a], F->inverse[a], e[FLUX_D + a]),
+                                     F->current_by_angle[a], e[ANGLE]);
+        e[NOISE_D + a] = fo_msub(fo_mul(F->pole, e[NOISE_D + a]), F->gain, wrong);
+        e[FLUX_D + a] = fo_mac(fo_axpy(fo_mul(F->keep[a], e[FLUX_D + a]), -F->h, e[DRIFT_D + a]),
+                               F->by_angle[a], angle);
+    }
+    e[ANGLE] = fo_axpy(e[ANGLE], F->h, e[SPEED]);
+}
+
 /* Time update over an interval, with the voltage that acts in it. */
 static void advance(const fo_log *log, const model *m, fo_pair voltage, state *x)
 {
@@ -209,41 +253,48 @@ static void advance(const fo_log *log, const model *m, fo_pair voltage, state *x
     }
     x->flux = fo_added(x->flux, h / 6.0, sum);
     x->angle = fo_axpy(x->angle, h, x->speed);
+    x->noise.a = fo_mac(fo_mul(m->pole, x->noise.a), m->gain, x->residual.a);
+    x->noise.b = fo_mac(fo_mul(m->pole, x->noise.b), m->gain, x->residual.b);
 
     /* δλ⁺ = (1 − g) δλ − h R' ∂i/∂θ (δθ + h/2 δω) − h δv; the mean current of the interval has
      * seen half of the decay. */
     const fo_dual inverse[2] = {m->inverse_d, m->inverse_q};
-    fo_dual keep[2], by_angle[2], T[STATES][STATES];
+    fo_dual keep[2], by_angle[2];
     for (int a = 0; a < 2; a++) {
         const fo_dual decay = fo_scale(h, fo_mul(m->R, inverse[a]));
         const fo_dual mean = fo_shift(1.0, fo_scale(-0.5, decay));
         keep[a] = fo_shift(1.0, fo_scale(-1.0, fo_mul(decay, mean)));
         by_angle[a] = fo_scale(-h, fo_mul(fo_mul(m->R, mean), now.by_angle[a]));
     }
+    const transition F = {h,
+                          {keep[0], keep[1]},
+                          {by_angle[0], by_angle[1]},
+                          m->pole,
+                          x->measured ? m->gain : fo_constant(0.0),
+                          {inverse[0], inverse[1]},
+                          {now.by_angle[0], now.by_angle[1]}};
     for (int c = 0; c < STATES; c++) {
-        const fo_dual moved = fo_axpy(x->P[ANGLE][c], 0.5 * h, x->P[SPEED][c]);
-        for (int a = 0; a < 2; a++)
-            T[a][c] = fo_mac(fo_axpy(fo_mul(keep[a], x->P[a][c]), -h, x->P[DRIFT_D + a][c]),
-                             by_angle[a], moved);
-        T[ANGLE][c] = fo_axpy(x->P[ANGLE][c], h, x->P[SPEED][c]);
-        for (int r = SPEED; r < STATES; r++) T[r][c] = x->P[r][c];
+        fo_dual column[STATES];
+        for (int r = 0; r < STATES; r++) column[r] = x->P[r][c];
+        moved(&F, column);
+        for (int r = 0; r < STATES; r++) x->P[r][c] = column[r];
     }
-    for (int r = 0; r < STATES; r++) {
-        const fo_dual moved = fo_axpy(T[r][ANGLE], 0.5 * h, T[r][SPEED]);
-        for (int a = 0; a < 2; a++)
-            x->P[r][a] = fo_mac(fo_axpy(fo_mul(keep[a], T[r][a]), -h, T[r][DRIFT_D + a]),
-                                by_angle[a], moved);
-        x->P[r][ANGLE] = fo_axpy(T[r][ANGLE], h, T[r][SPEED]);
-        for (int c = SPEED; c < STATES; c++) x->P[r][c] = T[r][c];
-    }
+    for (int r = 0; r < STATES; r++) moved(&F, x->P[r]);
     const fo_pair turn = fo_unit(fo_scale(h, x->speed));
     turn_covariance(x->P, FLUX_D, turn);
     turn_covariance(x->P, DRIFT_D, turn);
+    turn_covariance(x->P, NOISE_D, turn);
     for (int a = 0; a < 2; a++) {
         x->P[a][a] = fo_axpy(x->P[a][a], h, m->voltage);
         x->P[DRIFT_D + a][DRIFT_D + a] = fo_axpy(x->P[DRIFT_D + a][DRIFT_D + a], h, m->drift);
     }
     x->P[SPEED][SPEED] = fo_axpy(x->P[SPEED][SPEED], h, m->acceleration);
+    if (!x->measured) { /* w of this row is unknown */
+        const fo_dual more = fo_mul(fo_mul(m->gain, m->gain), m->noise);
+        for (int a = NOISE_D; a <= NOISE_Q; a++) x->P[a][a] = fo_add(x->P[a][a], more);
+    }
+    x->measured = false;
+    x->residual = fo_constant_pair(0.0, 0.0);
 }
 
 bool fo_innovations(const fo_log *log, const double parameters[FO_L], const fo_start *start,

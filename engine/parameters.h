@@ -12,7 +12,9 @@
     NAME(noise)        /* ln of the std of a component of the current's noise           [A]  */ \
     NAME(acceleration) /* ln of the std by which the speed changes in a second  [rad/s/√s]   */ \
     NAME(voltage)      /* ln of the std of the voltage's error, white              [V √s]    */ \
-    NAME(drift)        /* ln of the std by which the drift changes in a second     [V/√s]    */
+    NAME(drift)        /* ln of the std by which the drift changes in a second     [V/√s]    */ \
+    NAME(colour_pole)  /* ρ of the current's noise, n = z + w, z⁺ = ρ z + g w           [1]  */ \
+    NAME(colour_gain)  /* g; 0: white                                                   [1]  */
 
 #define FO_PARAMETER_INDEX(name) FO_L_##name,
 enum { FO_PARAMETERS(FO_PARAMETER_INDEX) FO_L };

@@ -25,13 +25,16 @@ from engine.likelihood import ENGINE, library  # noqa: E402
 from engine.loop import INTERIOR, SURFACE, Conditions  # noqa: E402
 from engine.scores import scores_at_the_truth  # noqa: E402
 
-#: Machine, noise as a share of the rated current of 12 A, gain kp h / L, and lag.
+#: Machine, noise as a share of the rated current of 12 A, gain kp h / L, and lag. In the last case
+#: the sensor gives the mean of two samples.
+AVERAGED = replace(SURFACE, moving_mean=2)
 CASES = [
     *((SURFACE, noise, 0.35, 0) for noise in (0.0008, 0.0025, 0.008)),
     *((SURFACE, 0.0025, gain, 0) for gain in (0.05, 0.5)),
     (SURFACE, 0.0025, 0.2, 1),
     *((INTERIOR, noise, 0.35, 0) for noise in (0.0008, 0.0025, 0.008)),
     (INTERIOR, 0.0025, 0.2, 1),
+    (AVERAGED, 0.0025, 0.35, 0),
 ]
 RATED = 12.0
 #: Lines of the source with a deliberate error.
@@ -63,8 +66,9 @@ def row(name: str, conditions: Conditions, drives: int, own: CDLL | None = None)
 
 def rows(drives: int) -> Iterator[list[str]]:
     for machine, noise, gain, lag in CASES:
-        kind = "surface" if machine is SURFACE else "interior"
-        name = f"{kind}, noise {100 * noise:.2g} %, gain {gain}, lag {-lag}"
+        kind = "interior" if machine is INTERIOR else "surface"
+        coloured = ", mean of two samples" if machine is AVERAGED else ""
+        name = f"{kind}, noise {100 * noise:.2g} %{coloured}, gain {gain}, lag {-lag}"
         conditions = replace(machine, noise=noise * RATED, bandwidth=gain, lag=lag)
         yield row(name, conditions, drives)
     loud = replace(SURFACE, noise=0.008 * RATED)
@@ -83,7 +87,7 @@ def main() -> None:
         for cells in rows(drives):
             print("\t".join(cells), flush=True)
             made.append(cells)
-        header = ["", "R", "L_d", "L_q", "ψ", "loss", "lag", "noise", "acceleration"]
+        header = ["", "R", "L_d", "L_q", "ψ", "loss", "lag", "noise", "acceleration", "g"]
         numbers.table("scores", header, made)
         numbers.value("drives", drives)
 

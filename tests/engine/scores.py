@@ -11,7 +11,10 @@ from engine.likelihood import INDEX, Array, Likelihood, N, Start, likelihood
 from engine.loop import SPEED, Conditions, Record, simulated
 
 #: Parameters whose score must have mean zero.
-TESTED = ("resistance", "L_d", "L_q", "psi_f", "loss", "lag", "noise", "acceleration")
+TESTED = (
+    *("resistance", "L_d", "L_q", "psi_f", "loss", "lag"),
+    *("noise", "acceleration", "colour_gain"),
+)
 SKIPPED = 300
 
 
@@ -28,8 +31,8 @@ class Scores:
         return np.asarray(tested.mean(axis=0) / (tested.std(axis=0) / np.sqrt(len(tested))))
 
     def bias(self) -> Array:
-        """Return the bias of each tested parameter on one record, in standard deviations."""
-        at = [INDEX[name] for name in TESTED]
+        """Return the bias on one record, in standard deviations, without that of the colour."""
+        at = [INDEX[name] for name in TESTED[:-1]]
         covariance = np.linalg.inv(self.information[np.ix_(at, at)])
         shift = -covariance @ self.scores[:, at].mean(axis=0)
         return np.asarray(shift / np.sqrt(np.diag(covariance)))
@@ -45,6 +48,9 @@ def parameters_of(c: Conditions) -> Array:
     p = np.zeros(N)
     given = {"resistance": c.R, "L_d": c.L_d, "L_q": c.L_q, "psi_f": c.psi, "noise": c.noise}
     given |= {"acceleration": c.acceleration, "voltage": 1e-6, "drift": 1e-3}
+    if c.moving_mean == 2:  # n = (w + w before) / √2
+        given["noise"] /= np.sqrt(2)
+        p[INDEX["colour_gain"]] = 1.0
     for name, value in given.items():
         p[INDEX[name]] = np.log(value)
     p[INDEX["lag"]] = c.lag

@@ -20,6 +20,7 @@ SPREAD = MOST / np.sqrt(2 * DRIVES)
 CONDITIONS = {
     "surface": SURFACE,
     "interior, delayed, fast controller": replace(INTERIOR, lag=1, bandwidth=0.25),
+    "surface, mean of two samples": replace(SURFACE, moving_mean=2),
     "surface, loud": replace(SURFACE, noise=0.1),
     "surface, quiet": replace(SURFACE, noise=0.01),
     "surface, slow controller": replace(SURFACE, bandwidth=0.05),
@@ -27,7 +28,7 @@ CONDITIONS = {
     "interior": INTERIOR,
     "interior, quiet": replace(INTERIOR, noise=0.01),
 }
-QUICK = tuple(CONDITIONS)[:2]
+QUICK = tuple(CONDITIONS)[:3]
 
 
 @pytest.mark.parametrize("conditions", [SURFACE, INTERIOR], ids=["surface", "interior"])
