@@ -214,3 +214,12 @@ def test_exit_codes(tmp_path):
         assert ("NOT as given" in done.stdout) == (code == 1)
     failed = fluxobs("check", "none.csv", "--machine", "motor.toml", folder=tmp_path)
     assert failed.returncode == 2
+
+
+def test_progress_grows_to_its_end():
+    seen = []
+    check_log(open_for(COLUMNS, PMSM), PMSM, lambda done, total: seen.append((done, total)))
+    done, total = np.array(seen).T
+    assert (np.diff(done) > 0).all()
+    assert (done <= total).all()
+    assert done[-1] == total[-1]

@@ -8,6 +8,7 @@ from fluxobs.checking.segments import (
     _choose_distant,
     _clean,
     _limit_resistance,
+    _moving_mean,
     _segment_length,
     cut_segments,
     without_spikes,
@@ -185,3 +186,13 @@ def test_a_log_of_gaps_is_refused():
 
     with pytest.raises(FluxobsError, match="no 628 consecutive rows are free of gaps"):
         cut_segments(log_of(spoil=spoil), PMSM)
+
+
+def test_the_mean_that_removes_an_injection():
+    """An alternating signal goes; a slope stays, and a missing row stays missing."""
+    signal = LINE + 5.0 * (-1.0) ** np.arange(len(LINE))
+    mean = _moving_mean(signal, 8)
+    inner = slice(4, -4)
+    np.testing.assert_allclose(mean[inner], LINE[inner] - 0.5 * (2 - 1j), atol=1e-9)
+    signal[20] = np.nan
+    assert np.isnan(_moving_mean(signal, 8)).sum() == 1

@@ -10,7 +10,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from fluxobs import FluxobsError, read_machine
+from fluxobs import FluxobsError, read_log, read_machine
+from fluxobs.identification.identify import combine
 from fluxobs.identification.pooled import identify_many
 from fluxobs.machines.file_text import machine_text
 from support.cli import fluxobs
@@ -78,6 +79,14 @@ def test_logs_that_agree_are_within_their_deviations(folder):
     for name, true in (("R_s", R_S), ("psi_f", PSI_F), ("inverter", 4.0)):
         assert abs(values[name].value - true) < 4 * values[name].std + 0.005 * true
         assert values[name].std < (0.2 if name == "inverter" else 0.09) * true
+
+
+def test_an_error_counts_the_logs():
+    """What no log tells is not told by all together."""
+    columns = dict.fromkeys(("u_alpha", "u_beta", "i_alpha", "i_beta"), np.arange(50.0))
+    logs = 3 * [read_log(columns, sample_time=1e-4, lag=0)]
+    with pytest.raises(FluxobsError, match="and 2 more: this log identifies none of R_s"):
+        combine(logs, PMSM, ["R_s"], [{}, {}, {}])
 
 
 def test_no_usable_log_is_an_error(folder):

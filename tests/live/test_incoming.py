@@ -188,6 +188,7 @@ def test_damaged_lines_are_counted_and_keep_their_place(tmp_path):
     columns = whole(lines.feed("".join([*bad, *rows[-3:]]).encode("latin-1")))
     assert len(columns["t"]) == 7
     assert np.isnan(columns["i_beta"][:3]).all()
+    assert np.isnan(columns["t"][:3]).all()
     assert np.isfinite(columns["i_beta"][-3:]).all()
     assert lines.damaged == 3  # in the fourth line, only one cell is not a number
 
