@@ -28,7 +28,10 @@ CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "fluxob
 COMMON = ("pyproject.toml", "Makefile", "CMakeLists.txt", ".ci", "tests/conftest.py")
 FIRMWARE = ("firmware", "tests/firmware", "tests/support")
 #: The library that estimates; `research` is apart.
-LIBRARY = ("src", "binding", "smoothing", "engine", "firmware", "tests", "examples", "web", "packaging")
+LIBRARY = (
+    *("src", "binding", "smoothing", "engine", "firmware"),
+    *("tests", "examples", "web", "packaging"),
+)
 #: The paper's mathematics, and what it uses; nothing else uses the folders in APART.
 APART = ("src/fluxobs/research/paper", "tests/research")
 PAPER = (

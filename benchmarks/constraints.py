@@ -1,11 +1,15 @@
 """Tables of docs/constraints.md: relations and visible coordinates of the library's machines."""
 
+from numbers_data import Numbers
+
 from fluxobs.research import blondel_park, discover_constraint
 from fluxobs.research.energies.library import LIBRARY, doubly_fed
 from fluxobs.research.energies.position import position_visibility
-from numbers_data import Numbers
 
-RELATIONS = ("machine", "quadratic relations", "margin", "invisible", "higher degree", "Blondel-Park")
+RELATIONS = (
+    *("machine", "quadratic relations", "margin", "invisible"),
+    *("higher degree", "Blondel-Park"),
+)
 COORDINATES = (
     *("machine", "ports", "visible coordinates", "relations", "positions"),
     "seen at rest",
