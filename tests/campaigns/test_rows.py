@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import polars as pl
@@ -13,7 +15,7 @@ from fluxobs.campaigns.columns import schema
 from fluxobs.campaigns.draws import Scenario, scenarios
 from fluxobs.campaigns.drives import drive_of, motor_of
 from fluxobs.campaigns.observed import ObservedRecord
-from fluxobs.campaigns.rows import rows_for, rows_of
+from fluxobs.campaigns.rows import record_of, rows_for, rows_of
 from fluxobs.campaigns.scores import measures
 from fluxobs.campaigns.simulated import ScoredTrace
 from fluxobs.campaigns.specification import Specification
@@ -179,6 +181,16 @@ def test_sure_and_wrong_exceeds_five_deviations_and_ten_degrees():
     record = ObservedRecord(error, zeros, zeros == 0, std, {})
     row = measures(1e-3 * np.arange(100), trace, zeros, record, example("servo-400w"), 0.0)
     assert row["wrong"] == 0.05
+
+
+def test_a_share_of_the_samples_is_lost():
+    trace = SimpleNamespace(
+        theta_e=np.zeros(1000), current=np.ones(1000) + 0j, voltage=np.ones(1000)
+    )
+    for share, least, most in ((0.0, 0, 0), (0.2, 150, 250)):
+        scenario = Scenario(1, "servo-400w", {"lost": share}, 3)
+        record = record_of(SimpleNamespace(trace=trace, scenario=scenario), 1e-4)
+        assert least <= np.isnan(record.current).sum() <= most
 
 
 def test_the_whole_log_is_estimated_with_lost_samples():
