@@ -53,8 +53,8 @@ static model model_of(const double p[FO_L])
     return m;
 }
 
-/* i = L⁻¹(λ_dq − ψ). With a turn δ of the estimated rotor, λ_dq turns back by δ and the current
- * turns forth with the rotor: ∂i/∂θ = J i − L⁻¹ J λ_dq. */
+/* i = L⁻¹(λ_dq − ψ). If the estimated rotor turns by δ, λ_dq turns by −δ and e^{jθ} by δ:
+ * ∂i/∂θ = J i − L⁻¹ J λ_dq. */
 static prediction predict(const model *m, fo_pair flux, fo_dual angle)
 {
     prediction p;
@@ -85,7 +85,7 @@ static fo_pair emf(const model *m, const state *x, fo_pair voltage, fo_pair curr
     fo_pair u = fo_added(voltage, -1.0, x->drift);
     u.a = fo_msub(u.a, m->R, current.a);
     u.b = fo_msub(u.b, m->R, current.b);
-    if (m->loss.v != 0.0 || knee > 0.0) {
+    if (knee > 0.0) {
         const fo_pair sign = signs(current, knee);
         u.a = fo_msub(u.a, m->loss, sign.a);
         u.b = fo_msub(u.b, m->loss, sign.b);
@@ -122,7 +122,7 @@ static void add_information(double weight, const double *a, const double *b, dou
         for (int c = 0; c < FO_L; c++) information[r * FO_L + c] += weight * a[r] * b[c];
 }
 
-/* Row `a` of H P Hᵀ, from P Hᵀ. */
+/* Element (a, b) of H P Hᵀ, from P Hᵀ. */
 static fo_dual observed(const model *m, const prediction *p, fo_dual PH[STATES][2], int a, int b)
 {
     const fo_dual inverse = a ? m->inverse_q : m->inverse_d;
@@ -258,21 +258,18 @@ static void advance(const fo_log *log, const model *m, fo_pair voltage, state *x
 
     /* δλ⁺ = (1 − g) δλ − h R' ∂i/∂θ (δθ + h/2 δω) − h δv; the mean current of the interval has
      * seen half of the decay. */
-    const fo_dual inverse[2] = {m->inverse_d, m->inverse_q};
-    fo_dual keep[2], by_angle[2];
+    transition F;
+    F.h = h;
+    F.pole = m->pole;
+    F.gain = x->measured ? m->gain : fo_constant(0.0);
     for (int a = 0; a < 2; a++) {
-        const fo_dual decay = fo_scale(h, fo_mul(m->R, inverse[a]));
+        F.inverse[a] = a ? m->inverse_q : m->inverse_d;
+        F.current_by_angle[a] = now.by_angle[a];
+        const fo_dual decay = fo_scale(h, fo_mul(m->R, F.inverse[a]));
         const fo_dual mean = fo_shift(1.0, fo_scale(-0.5, decay));
-        keep[a] = fo_shift(1.0, fo_scale(-1.0, fo_mul(decay, mean)));
-        by_angle[a] = fo_scale(-h, fo_mul(fo_mul(m->R, mean), now.by_angle[a]));
+        F.keep[a] = fo_shift(1.0, fo_scale(-1.0, fo_mul(decay, mean)));
+        F.by_angle[a] = fo_scale(-h, fo_mul(fo_mul(m->R, mean), now.by_angle[a]));
     }
-    const transition F = {h,
-                          {keep[0], keep[1]},
-                          {by_angle[0], by_angle[1]},
-                          m->pole,
-                          x->measured ? m->gain : fo_constant(0.0),
-                          {inverse[0], inverse[1]},
-                          {now.by_angle[0], now.by_angle[1]}};
     for (int c = 0; c < STATES; c++) {
         fo_dual column[STATES];
         for (int r = 0; r < STATES; r++) column[r] = x->P[r][c];
@@ -311,9 +308,8 @@ bool fo_innovations(const fo_log *log, const double parameters[FO_L], const fo_s
             return false;
         if (angle) angle[k] = x.angle.v;
         if (!isfinite(x.angle.v)) return false;
-        const fo_dual later = m.lag;
-        const fo_pair voltage = {fo_shift(u[0], fo_scale(before[0] - u[0], later)),
-                                 fo_shift(u[1], fo_scale(before[1] - u[1], later))};
+        const fo_pair voltage = {fo_shift(u[0], fo_scale(before[0] - u[0], m.lag)),
+                                 fo_shift(u[1], fo_scale(before[1] - u[1], m.lag))};
         advance(log, &m, voltage, &x);
     }
     if (out->counted) out->mean_square /= (double)out->counted;

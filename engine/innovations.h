@@ -1,9 +1,9 @@
 /* The likelihood of a log's currents, from their prediction errors (innovations).
  *
- * What is measured is the current: i_k = f(λ_k, θ_k) + n_k. The flux λ is driven by the applied
- * voltages and by the *predicted* current (R i, loss of the inverter): noise of the current enters
- * once, after the inputs that depend on it are known, so the score has mean zero at the true
- * parameters although a controller answers the noise. Derivation: docs/theory.md, section 20. */
+ * The measurement is the current: i_k = f(λ_k, θ_k) + n_k. The applied voltages and the *predicted*
+ * current (R i, loss of the inverter) drive the flux λ. So the noise of a row enters once, in the
+ * row's innovation, and the score has mean zero at the true parameters although a controller
+ * answers the noise. Derivation: docs/theory.md, section 20. */
 #ifndef FLUXOBS_INNOVATIONS_H
 #define FLUXOBS_INNOVATIONS_H
 
@@ -22,7 +22,7 @@ typedef struct {
     double sample_time;    /* [s] */
     const double *voltage; /* rows × 2: mean from this row to the next, with the log's lag [V] */
     const double *current; /* rows × 2, NaN where it is missing [A] */
-    double knee;           /* current at which the loss reaches 76 % of its value [A] */
+    double knee;           /* current at which the loss reaches 76 % of its value [A]; 0: no loss */
 } fo_log;
 
 /* State at the first row, with standard deviations. The flux is that of the measured current. */

@@ -39,7 +39,7 @@ settings.load_profile("fluxobs")
 
 
 def pytest_collection_finish():
-    """What is imported stays: the garbage collector need not search it again and again."""
+    """Exclude the imported modules from garbage collection: they live until the end."""
     gc.collect()
     gc.freeze()
 

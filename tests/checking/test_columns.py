@@ -7,8 +7,6 @@ import pytest
 
 from fluxobs.checking.columns import check_columns
 
-pytestmark = pytest.mark.mistakes
-
 ROWS = 3000
 PHASE = 0.02 * np.arange(ROWS)
 THREE = {f"i_{p}": np.cos(PHASE - k * 2 * np.pi / 3) for k, p in enumerate("abc")}

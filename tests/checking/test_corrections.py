@@ -20,8 +20,6 @@ from fluxobs.checking.mistakes import (
     inverted_sensors,
 )
 
-pytestmark = pytest.mark.mistakes
-
 Z = np.array([1.0, 0.3 + 2.0j, -1.0 - 0.5j])
 AXES = np.exp(2j * np.pi / 3 * np.arange(3))
 

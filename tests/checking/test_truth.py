@@ -12,8 +12,6 @@ from fluxobs.checking.segments import Segments
 from fluxobs.checking.truth import check_truth
 from fluxobs.machines import example
 
-pytestmark = pytest.mark.mistakes
-
 PMSM, SYNRM = example("pmsm-2kw2"), example("synrm-6kw7")
 H, ROWS = 1e-4, 400
 AT = np.arange(0, ROWS, 4)

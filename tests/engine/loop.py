@@ -1,8 +1,8 @@
 """Synchronous machines under a current controller that knows the log only: no encoder.
 
-The speed is a random walk, as the likelihood assumes. The controller's angle is that of its own
-flux observer. With an encoder, the voltages would tell more about the rotor than the currents do,
-and an estimator that sees neither encoder nor its noise could not be unbiased.
+The speed is a random walk, as the likelihood assumes. The controller takes its angle from its own
+flux observer. An encoder would put its knowledge of the rotor into the voltages, and an estimator
+without the encoder's signal would be biased.
 """
 
 from __future__ import annotations

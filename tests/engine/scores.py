@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.likelihood import INDEX, Array, Likelihood, N, Start, likelihood
+from engine.likelihood import INDEX, Array, N, Start, likelihood
 from engine.loop import SPEED, Conditions, Record, simulated
 
 #: Parameters whose score must have mean zero.
@@ -29,13 +29,6 @@ class Scores:
         """Return the mean score of each tested parameter, in standard errors."""
         tested = self.scores[:, [INDEX[name] for name in TESTED]]
         return np.asarray(tested.mean(axis=0) / (tested.std(axis=0) / np.sqrt(len(tested))))
-
-    def bias(self) -> Array:
-        """Return the bias on one record, in standard deviations, without that of the colour."""
-        at = [INDEX[name] for name in TESTED[:-1]]
-        covariance = np.linalg.inv(self.information[np.ix_(at, at)])
-        shift = -covariance @ self.scores[:, at].mean(axis=0)
-        return np.asarray(shift / np.sqrt(np.diag(covariance)))
 
     def spread(self) -> Array:
         """Return the std of each tested score over the root of its information."""
@@ -74,19 +67,15 @@ def starts(record: Record, drift: float, seed: int = 5) -> list[Start]:
     ]
 
 
-def evaluated(
-    p: Array, c: Conditions, record: Record, begin: list[Start], k: int, own: CDLL | None = None
-) -> Likelihood:
-    u, i = record.voltage[:, k], record.current[:, k]
-    return likelihood(u, i, c.sample_time, p, begin[k], own=own)
-
-
 def scores_at_the_truth(
     c: Conditions, drives: int, own: CDLL | None = None, seed: int = 1
 ) -> Scores:
     """Simulate drives, and evaluate the score of each drive."""
     record = simulated(c, drives, seed)
     begin, p = starts(record, c.drift), parameters_of(c)
-    done = [evaluated(p, c, record, begin, k, own) for k in range(drives)]
+    done = [
+        likelihood(record.voltage[:, k], record.current[:, k], c.sample_time, p, begin[k], own=own)
+        for k in range(drives)
+    ]
     information = np.mean([one.information for one in done], axis=0)
     return Scores(np.array([one.score for one in done]), np.asarray(information))

@@ -82,7 +82,7 @@ def test_logs_that_agree_are_within_their_deviations(folder):
 
 
 def test_an_error_counts_the_logs():
-    """What no log tells is not told by all together."""
+    """No log identifies the parameter, so all logs together do not identify it either."""
     columns = dict.fromkeys(("u_alpha", "u_beta", "i_alpha", "i_beta"), np.arange(50.0))
     logs = 3 * [read_log(columns, sample_time=1e-4, lag=0)]
     with pytest.raises(FluxobsError, match="and 2 more: this log identifies none of R_s"):

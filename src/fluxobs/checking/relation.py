@@ -39,8 +39,8 @@ INDEPENDENT = 4.0
 #: Prior standard deviation of the drift, as a share of the voltage.
 DRIFT = 0.03
 ITERATIONS, HALVINGS = 25, 5
-#: The fit ends when an iteration lowers the cost by less than this, or by less than this share of
-#: it: a cost of thousands never becomes the lowest.
+#: The fit ends when an iteration lowers the cost by less than this, and a cost above one by less
+#: than this share of the cost: a cost of thousands never becomes the lowest.
 CONVERGED = 1e-3
 #: Number of iterations for the rotor angle at which a flux map is evaluated.
 ROUNDS = 3
