@@ -1,7 +1,8 @@
-/* A number with its derivatives by all parameters: forward differentiation.
+/* A number with its derivatives by the parameters: forward differentiation.
  *
  * The score of a likelihood must be the exact derivative of the likelihood that the code computes,
- * covariances included. With these numbers the recursion is written once. */
+ * covariances included. With these numbers the recursion is written once. d[0] is the value,
+ * d[1 + k] the derivative by parameter k. FO_WIDTH 1 leaves the value alone. */
 #ifndef FLUXOBS_DUAL_H
 #define FLUXOBS_DUAL_H
 
@@ -9,54 +10,55 @@
 
 #include "parameters.h"
 
+#ifndef FO_WIDTH
+#define FO_WIDTH ((1 + FO_L + 3) / 4 * 4) /* a multiple of what a vector register holds */
+#endif
+
 typedef struct {
-    double v;
-    double d[FO_L];
+    double d[FO_WIDTH];
 } fo_dual;
 
 /* f(a) with its derivative f'(a). */
 static inline fo_dual fo_chain(fo_dual a, double value, double slope)
 {
     fo_dual r;
-    r.v = value;
-    for (int k = 0; k < FO_L; k++) r.d[k] = slope * a.d[k];
+    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = slope * a.d[k];
+    r.d[0] = value;
     return r;
 }
 
 static inline fo_dual fo_constant(double value)
 {
-    fo_dual r = {value, {0.0}};
+    fo_dual r = {{value}};
     return r;
 }
 
 static inline fo_dual fo_unknown(double value, int index)
 {
-    fo_dual r = {value, {0.0}};
-    r.d[index] = 1.0;
+    fo_dual r = {{value}};
+    if (index + 1 < FO_WIDTH) r.d[index + 1] = 1.0;
     return r;
 }
 
 static inline fo_dual fo_add(fo_dual a, fo_dual b)
 {
     fo_dual r;
-    r.v = a.v + b.v;
-    for (int k = 0; k < FO_L; k++) r.d[k] = a.d[k] + b.d[k];
+    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] + b.d[k];
     return r;
 }
 
 static inline fo_dual fo_sub(fo_dual a, fo_dual b)
 {
     fo_dual r;
-    r.v = a.v - b.v;
-    for (int k = 0; k < FO_L; k++) r.d[k] = a.d[k] - b.d[k];
+    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] - b.d[k];
     return r;
 }
 
 static inline fo_dual fo_mul(fo_dual a, fo_dual b)
 {
     fo_dual r;
-    r.v = a.v * b.v;
-    for (int k = 0; k < FO_L; k++) r.d[k] = a.d[k] * b.v + a.v * b.d[k];
+    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] * b.d[0] + a.d[0] * b.d[k];
+    r.d[0] = a.d[0] * b.d[0];
     return r;
 }
 
@@ -64,8 +66,7 @@ static inline fo_dual fo_mul(fo_dual a, fo_dual b)
 static inline fo_dual fo_axpy(fo_dual a, double s, fo_dual b)
 {
     fo_dual r;
-    r.v = a.v + s * b.v;
-    for (int k = 0; k < FO_L; k++) r.d[k] = a.d[k] + s * b.d[k];
+    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] + s * b.d[k];
     return r;
 }
 
@@ -73,8 +74,8 @@ static inline fo_dual fo_axpy(fo_dual a, double s, fo_dual b)
 static inline fo_dual fo_mac(fo_dual a, fo_dual b, fo_dual c)
 {
     fo_dual r;
-    r.v = a.v + b.v * c.v;
-    for (int k = 0; k < FO_L; k++) r.d[k] = a.d[k] + (b.d[k] * c.v + b.v * c.d[k]);
+    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] + (b.d[k] * c.d[0] + b.d[0] * c.d[k]);
+    r.d[0] = a.d[0] + b.d[0] * c.d[0];
     return r;
 }
 
@@ -82,30 +83,70 @@ static inline fo_dual fo_mac(fo_dual a, fo_dual b, fo_dual c)
 static inline fo_dual fo_msub(fo_dual a, fo_dual b, fo_dual c)
 {
     fo_dual r;
-    r.v = a.v - b.v * c.v;
-    for (int k = 0; k < FO_L; k++) r.d[k] = a.d[k] - (b.d[k] * c.v + b.v * c.d[k]);
+    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] - (b.d[k] * c.d[0] + b.d[0] * c.d[k]);
+    r.d[0] = a.d[0] - b.d[0] * c.d[0];
     return r;
 }
 
-static inline fo_dual fo_scale(double s, fo_dual a) { return fo_chain(a, s * a.v, s); }
-
-static inline fo_dual fo_shift(double s, fo_dual a)
+/* r ← r + b c, in place: without copies of the operands. */
+static inline void fo_accumulate(fo_dual *restrict r, const fo_dual *restrict b,
+                                 const fo_dual *restrict c)
 {
-    a.v += s;
+    const double x = b->d[0], y = c->d[0], value = r->d[0] + x * y;
+    for (int k = 0; k < FO_WIDTH; k++) r->d[k] += b->d[k] * y + x * c->d[k];
+    r->d[0] = value;
+}
+
+/* r ← r + s b */
+static inline void fo_accumulate_scaled(fo_dual *restrict r, double s, const fo_dual *restrict b)
+{
+    for (int k = 0; k < FO_WIDTH; k++) r->d[k] += s * b->d[k];
+}
+
+/* r ← b c */
+static inline void fo_product(fo_dual *restrict r, const fo_dual *restrict b,
+                              const fo_dual *restrict c)
+{
+    const double x = b->d[0], y = c->d[0];
+    for (int k = 0; k < FO_WIDTH; k++) r->d[k] = b->d[k] * y + x * c->d[k];
+    r->d[0] = x * y;
+}
+
+/* r ← r − b c */
+static inline void fo_reduce(fo_dual *restrict r, const fo_dual *restrict b,
+                             const fo_dual *restrict c)
+{
+    const double x = b->d[0], y = c->d[0], value = r->d[0] - x * y;
+    for (int k = 0; k < FO_WIDTH; k++) r->d[k] -= b->d[k] * y + x * c->d[k];
+    r->d[0] = value;
+}
+
+static inline fo_dual fo_scale(double s, fo_dual a)
+{
+    for (int k = 0; k < FO_WIDTH; k++) a.d[k] *= s;
     return a;
 }
 
-static inline fo_dual fo_inverse(fo_dual a) { return fo_chain(a, 1.0 / a.v, -1.0 / (a.v * a.v)); }
+static inline fo_dual fo_shift(double s, fo_dual a)
+{
+    a.d[0] += s;
+    return a;
+}
+
+static inline fo_dual fo_inverse(fo_dual a)
+{
+    return fo_chain(a, 1.0 / a.d[0], -1.0 / (a.d[0] * a.d[0]));
+}
 
 static inline fo_dual fo_exp_of(fo_dual a)
 {
-    const double e = exp(a.v);
+    const double e = exp(a.d[0]);
     return fo_chain(a, e, e);
 }
 
 static inline fo_dual fo_tanh_of(fo_dual a)
 {
-    const double t = tanh(a.v);
+    const double t = tanh(a.d[0]);
     return fo_chain(a, t, 1.0 - t * t);
 }
 
@@ -116,7 +157,7 @@ typedef struct {
 
 static inline fo_pair fo_unit(fo_dual angle)
 {
-    const double c = cos(angle.v), s = sin(angle.v);
+    const double c = cos(angle.d[0]), s = sin(angle.d[0]);
     const fo_pair r = {fo_chain(angle, c, -s), fo_chain(angle, s, c)};
     return r;
 }

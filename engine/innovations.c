@@ -5,312 +5,563 @@
 
 #include "dual.h"
 
-/* Errors of the state, in the coordinates of the estimated rotor: there the matrices of the filter
- * depend on the parameters, on the speed and on i_dq only, and change slowly. */
-enum { FLUX_D, FLUX_Q, ANGLE, SPEED, DRIFT_D, DRIFT_Q, NOISE_D, NOISE_Q, STATES };
-
 typedef struct {
-    fo_dual R, L_d, L_q, inverse_d, inverse_q, psi, loss, lag, pole, gain;
-    fo_dual noise, acceleration, voltage, drift; /* variances */
+    fo_dual R, inverse_d, inverse_q, L_d, L_q, psi, loss, inverse_knee, mobility, lag, pole, colour;
+    fo_dual noise, acceleration, voltage, drift, gain; /* variances */
+    const double *harmonics;                            /* two coefficients of each order */
+    bool has_harmonics;
 } model;
 
 typedef struct {
     fo_pair flux, drift, noise; /* stator coordinates; the noise's predictable part */
     fo_pair residual;           /* of the last measurement, after its update */
     bool measured;
-    fo_dual angle, speed;
-    fo_dual P[STATES][STATES];
+    fo_dual angle, speed, acceleration, gain;
+    fo_dual P[FO_STATES][FO_STATES];
 } state;
 
 /* What the measurement of the current depends on, at an angle. */
 typedef struct {
-    fo_pair unit, current; /* e^{jθ}; predicted current in rotor coordinates */
-    fo_dual by_angle[2];   /* derivative of the current in stator coordinates, seen by the rotor */
+    fo_pair unit;        /* e^{jθ} */
+    fo_pair powers[3];   /* e^{2jθ}, e^{4jθ}, e^{6jθ} */
+    fo_pair harmonics;   /* flux of the harmonics, rotor coordinates */
+    fo_pair slope;       /* its derivative by the angle */
+    fo_pair flux, current; /* rotor coordinates; the predicted current */
+    fo_dual by_angle[2]; /* derivative of the current in stator coordinates, seen by the rotor */
 } prediction;
+
+/* A measurement update. */
+typedef struct {
+    fo_dual e[2], V[2][2], w[2], K[FO_STATES][2]; /* V: inverse of the covariance; w = V e */
+    fo_dual S[2][2], det;
+    prediction at;
+} update;
+
+/* Nonzero elements of the transition of the errors. */
+typedef struct {
+    unsigned char row, column;
+    bool constant; /* its derivatives are zero */
+    fo_dual value;
+} element;
+
+typedef struct {
+    element at[40];
+    int count;
+} transition;
+
+/* Derivatives of the errors' means by the coefficients of the harmonics, with the gain held. */
+typedef double sensitivity[FO_STATES][2 * FO_ORDERS];
+
+#define FO_LIST(order) order,
+static const int orders[FO_ORDERS] = {FO_HARMONICS(FO_LIST)};
+#undef FO_LIST
 
 static fo_dual variance(double logarithm, int index)
 {
     return fo_exp_of(fo_scale(2.0, fo_unknown(logarithm, index)));
 }
 
-static model model_of(const double p[FO_L])
+static fo_dual positive(const double *p, int index)
+{
+    return fo_exp_of(fo_unknown(p[index], index));
+}
+
+static model model_of(const double p[FO_UNKNOWNS])
 {
     model m;
-    m.R = fo_exp_of(fo_unknown(p[FO_L_resistance], FO_L_resistance));
-    m.L_d = fo_exp_of(fo_unknown(p[FO_L_L_d], FO_L_L_d));
-    m.L_q = fo_exp_of(fo_unknown(p[FO_L_L_q], FO_L_L_q));
+    m.R = positive(p, FO_L_resistance);
+    m.L_d = positive(p, FO_L_L_d);
+    m.L_q = positive(p, FO_L_L_q);
     m.inverse_d = fo_inverse(m.L_d);
     m.inverse_q = fo_inverse(m.L_q);
-    m.psi = fo_exp_of(fo_unknown(p[FO_L_psi_f], FO_L_psi_f));
+    m.psi = positive(p, FO_L_psi_f);
     m.loss = fo_unknown(p[FO_L_loss], FO_L_loss);
+    m.inverse_knee = fo_inverse(positive(p, FO_L_knee));
+    m.mobility = fo_unknown(p[FO_L_mobility], FO_L_mobility);
     m.lag = fo_unknown(p[FO_L_lag], FO_L_lag);
     m.pole = fo_unknown(p[FO_L_colour_pole], FO_L_colour_pole);
-    m.gain = fo_unknown(p[FO_L_colour_gain], FO_L_colour_gain);
+    m.colour = fo_unknown(p[FO_L_colour_gain], FO_L_colour_gain);
     m.noise = variance(p[FO_L_noise], FO_L_noise);
     m.acceleration = variance(p[FO_L_acceleration], FO_L_acceleration);
     m.voltage = variance(p[FO_L_voltage], FO_L_voltage);
     m.drift = variance(p[FO_L_drift], FO_L_drift);
+    m.gain = variance(p[FO_L_gain], FO_L_gain);
+    m.harmonics = p + FO_L;
+    m.has_harmonics = false;
+    for (int k = 0; k < 2 * FO_ORDERS; k++) m.has_harmonics |= m.harmonics[k] != 0.0;
     return m;
 }
 
-/* i = L⁻¹(λ_dq − ψ). If the estimated rotor turns by δ, λ_dq turns by −δ and e^{jθ} by δ:
- * ∂i/∂θ = J i − L⁻¹ J λ_dq. */
+/* e^{jhθ}; h is 1 or even. */
+static fo_pair power(const prediction *p, int order)
+{
+    const int count = order < 0 ? -order : order;
+    fo_pair r = count == 1 ? p->unit : p->powers[count / 2 - 1];
+    if (order < 0) r.b = fo_scale(-1.0, r.b);
+    return r;
+}
+
+/* Σ a e^{jhθ} and its derivative by θ. */
+static void harmonics_at(const model *m, prediction *p)
+{
+    p->harmonics = p->slope = fo_constant_pair(0.0, 0.0);
+    if (!m->has_harmonics) return;
+    for (int n = 0; n < FO_ORDERS; n++) {
+        const double a = m->harmonics[2 * n], b = m->harmonics[2 * n + 1], h = orders[n];
+        const fo_pair unit = power(p, orders[n]);
+        const fo_pair x = {fo_axpy(fo_scale(a, unit.a), -b, unit.b),
+                           fo_axpy(fo_scale(b, unit.a), a, unit.b)};
+        const fo_pair turned = {fo_scale(-1.0, x.b), x.a};
+        p->harmonics = fo_added(p->harmonics, 1.0, x);
+        p->slope = fo_added(p->slope, h, turned);
+    }
+}
+
+/* i = L⁻¹(λ_dq − ψ − harmonics). If the estimated rotor turns by δ, λ_dq turns by −δ and e^{jθ} by
+ * δ: ∂i/∂θ = J i − L⁻¹ (J λ_dq + ∂harmonics/∂θ). */
+static void current_at(const model *m, fo_pair flux, prediction *p)
+{
+    const fo_pair in_rotor = p->flux = fo_turned_back(flux, p->unit);
+    p->current.a =
+        fo_mul(fo_sub(fo_sub(in_rotor.a, m->psi), p->harmonics.a), m->inverse_d);
+    p->current.b = fo_mul(fo_sub(in_rotor.b, p->harmonics.b), m->inverse_q);
+    p->by_angle[0] = fo_sub(fo_mul(fo_sub(in_rotor.b, p->slope.a), m->inverse_d), p->current.b);
+    p->by_angle[1] = fo_msub(p->current.a, fo_add(in_rotor.a, p->slope.b), m->inverse_q);
+}
+
 static prediction predict(const model *m, fo_pair flux, fo_dual angle)
 {
     prediction p;
     p.unit = fo_unit(angle);
-    const fo_pair in_rotor = fo_turned_back(flux, p.unit);
-    p.current.a = fo_mul(fo_sub(in_rotor.a, m->psi), m->inverse_d);
-    p.current.b = fo_mul(in_rotor.b, m->inverse_q);
-    p.by_angle[0] = fo_sub(fo_mul(in_rotor.b, m->inverse_d), p.current.b);
-    p.by_angle[1] = fo_msub(p.current.a, in_rotor.a, m->inverse_q);
+    p.powers[0] = fo_turned(p.unit, p.unit);
+    p.powers[1] = fo_turned(p.powers[0], p.powers[0]);
+    p.powers[2] = fo_turned(p.powers[1], p.powers[0]);
+    harmonics_at(m, &p);
+    current_at(m, flux, &p);
     return p;
 }
 
 /* Sum of the phases' smoothed signs as a vector, amplitude-invariant. */
-static fo_pair signs(fo_pair i, double knee)
+static fo_pair signs(fo_pair i, fo_dual inverse_knee)
 {
     const double half = 0.5, root = 0.86602540378443864676;
-    const fo_dual a = fo_tanh_of(fo_scale(1.0 / knee, i.a));
-    const fo_dual b = fo_tanh_of(fo_scale(1.0 / knee, fo_axpy(fo_scale(-half, i.a), root, i.b)));
-    const fo_dual c = fo_tanh_of(fo_scale(1.0 / knee, fo_axpy(fo_scale(-half, i.a), -root, i.b)));
+    const fo_dual a = fo_tanh_of(fo_mul(inverse_knee, i.a));
+    const fo_dual b =
+        fo_tanh_of(fo_mul(inverse_knee, fo_axpy(fo_scale(-half, i.a), root, i.b)));
+    const fo_dual c =
+        fo_tanh_of(fo_mul(inverse_knee, fo_axpy(fo_scale(-half, i.a), -root, i.b)));
     const fo_pair sum = {fo_scale(2.0 / 3.0, fo_sub(a, fo_scale(half, fo_add(b, c)))),
                          fo_scale(2.0 / 3.0 * root, fo_sub(b, c))};
     return sum;
 }
 
 /* u − v − R i − loss: the derivative of the flux. */
-static fo_pair emf(const model *m, const state *x, fo_pair voltage, fo_pair current, double knee)
+static fo_pair emf(const model *m, const state *x, fo_pair voltage, fo_pair current)
 {
+    const fo_pair sign = signs(current, m->inverse_knee);
     fo_pair u = fo_added(voltage, -1.0, x->drift);
-    u.a = fo_msub(u.a, m->R, current.a);
-    u.b = fo_msub(u.b, m->R, current.b);
-    if (knee > 0.0) {
-        const fo_pair sign = signs(current, knee);
-        u.a = fo_msub(u.a, m->loss, sign.a);
-        u.b = fo_msub(u.b, m->loss, sign.b);
-    }
+    u.a = fo_msub(fo_msub(u.a, m->R, current.a), m->loss, sign.a);
+    u.b = fo_msub(fo_msub(u.b, m->R, current.b), m->loss, sign.b);
     return u;
+}
+
+/* Flux × current; the torque is 3/2 n_p times it. */
+static fo_dual torque(fo_pair flux, fo_pair current)
+{
+    return fo_msub(fo_mul(flux.a, current.b), flux.b, current.a);
 }
 
 static void start_at(const fo_log *log, const model *m, const fo_start *start, state *x)
 {
     x->angle = fo_constant(start->angle);
     x->speed = fo_constant(start->speed);
+    x->gain = fo_constant(0.0);
     x->drift = x->noise = x->residual = fo_constant_pair(0.0, 0.0);
     x->measured = false;
     const fo_pair unit = fo_unit(x->angle);
     const double *i = log->current;
     const bool known = isfinite(i[0]) && isfinite(i[1]);
-    fo_pair in_rotor =
+    const fo_pair current =
         fo_turned_back(fo_constant_pair(known ? i[0] : 0.0, known ? i[1] : 0.0), unit);
-    in_rotor.a = fo_mac(m->psi, m->L_d, in_rotor.a);
-    in_rotor.b = fo_mul(m->L_q, in_rotor.b);
-    x->flux = fo_turned(in_rotor, unit);
-    for (int r = 0; r < STATES; r++)
-        for (int c = 0; c < STATES; c++) x->P[r][c] = fo_constant(0.0);
-    const double stds[NOISE_D] = {start->flux_std,  start->flux_std,  start->angle_std,
-                                  start->speed_std, start->drift_std, start->drift_std};
-    for (int r = 0; r < NOISE_D; r++) x->P[r][r].v = stds[r] * stds[r];
-    x->P[NOISE_D][NOISE_D] = x->P[NOISE_Q][NOISE_Q] = fo_mul(fo_mul(m->gain, m->gain), m->noise);
-}
-
-/* Adds the information of a component with these derivatives. */
-static void add_information(double weight, const double *a, const double *b, double *information)
-{
-    for (int r = 0; r < FO_L; r++)
-        for (int c = 0; c < FO_L; c++) information[r * FO_L + c] += weight * a[r] * b[c];
+    const fo_pair flux = {fo_mac(m->psi, m->L_d, current.a), fo_mul(m->L_q, current.b)};
+    x->flux = fo_turned(flux, unit);
+    /* The load balances the torque. */
+    x->acceleration = fo_scale(-1.0, fo_mul(m->mobility, torque(flux, current)));
+    const double stds[FO_NOISE_D] = {start->flux_std,         start->flux_std, start->angle_std,
+                                     start->speed_std,        start->acceleration_std,
+                                     start->gain_std,         start->drift_std,
+                                     start->drift_std};
+    for (int r = 0; r < FO_STATES; r++)
+        for (int c = 0; c < FO_STATES; c++)
+            x->P[r][c] = fo_constant(r == c && r < FO_NOISE_D ? stds[r] * stds[r] : 0.0);
+    x->P[FO_NOISE_D][FO_NOISE_D] = x->P[FO_NOISE_Q][FO_NOISE_Q] =
+        fo_mul(fo_mul(m->colour, m->colour), m->noise);
 }
 
 /* Element (a, b) of H P Hᵀ, from P Hᵀ. */
-static fo_dual observed(const model *m, const prediction *p, fo_dual PH[STATES][2], int a, int b)
+static fo_dual observed(const model *m, const prediction *p, fo_dual PH[FO_STATES][2], int a,
+                        int b)
 {
     const fo_dual inverse = a ? m->inverse_q : m->inverse_d;
-    const fo_dual by_flux = fo_mac(PH[NOISE_D + a][b], inverse, PH[FLUX_D + a][b]);
-    return fo_mac(by_flux, p->by_angle[a], PH[ANGLE][b]);
+    const fo_dual by_flux = fo_mac(PH[FO_NOISE_D + a][b], inverse, PH[FO_FLUX_D + a][b]);
+    return fo_mac(by_flux, p->by_angle[a], PH[FO_ANGLE][b]);
 }
 
-/* Measurement update; adds to the likelihood if the row counts. */
-static bool measure(const model *m, const double measured[2], bool counts, state *x,
-                    fo_likelihood *out)
+/* Measurement update. */
+static bool measure(const model *m, const double measured[2], state *x, update *z)
 {
-    const prediction p = predict(m, x->flux, x->angle);
+    const prediction p = z->at = predict(m, x->flux, x->angle);
     const fo_pair y = fo_turned_back(fo_constant_pair(measured[0], measured[1]), p.unit);
     const fo_pair coloured = fo_turned_back(x->noise, p.unit);
-    const fo_dual e[2] = {fo_sub(fo_sub(y.a, p.current.a), coloured.a),
-                          fo_sub(fo_sub(y.b, p.current.b), coloured.b)};
-    fo_dual PH[STATES][2], S[2][2];
-    for (int r = 0; r < STATES; r++) {
-        PH[r][0] = fo_mac(fo_mac(x->P[r][NOISE_D], x->P[r][FLUX_D], m->inverse_d), x->P[r][ANGLE],
+    fo_dual PH[FO_STATES][2];
+    z->e[0] = fo_sub(fo_sub(y.a, p.current.a), coloured.a);
+    z->e[1] = fo_sub(fo_sub(y.b, p.current.b), coloured.b);
+    for (int r = 0; r < FO_STATES; r++) {
+        const fo_dual *P = x->P[r];
+        PH[r][0] = fo_mac(fo_mac(P[FO_NOISE_D], P[FO_FLUX_D], m->inverse_d), P[FO_ANGLE],
                           p.by_angle[0]);
-        PH[r][1] = fo_mac(fo_mac(x->P[r][NOISE_Q], x->P[r][FLUX_Q], m->inverse_q), x->P[r][ANGLE],
+        PH[r][1] = fo_mac(fo_mac(P[FO_NOISE_Q], P[FO_FLUX_Q], m->inverse_q), P[FO_ANGLE],
                           p.by_angle[1]);
     }
-    S[0][0] = fo_add(m->noise, observed(m, &p, PH, 0, 0));
-    S[0][1] = observed(m, &p, PH, 0, 1);
-    S[1][1] = fo_add(m->noise, observed(m, &p, PH, 1, 1));
-    const fo_dual det = fo_msub(fo_mul(S[0][0], S[1][1]), S[0][1], S[0][1]);
-    if (!(det.v > 0.0) || !isfinite(det.v) || !isfinite(e[0].v)) return false;
-    const fo_dual inverse = fo_inverse(det);
-    const fo_dual V[2][2] = {{fo_mul(S[1][1], inverse), fo_scale(-1.0, fo_mul(S[0][1], inverse))},
-                             {fo_scale(-1.0, fo_mul(S[0][1], inverse)), fo_mul(S[0][0], inverse)}};
-    const fo_dual w[2] = {fo_mac(fo_mul(V[0][0], e[0]), V[0][1], e[1]),
-                          fo_mac(fo_mul(V[1][0], e[0]), V[1][1], e[1])};
-    if (counts) {
-        const fo_dual square = fo_mac(fo_mul(e[0], w[0]), e[1], w[1]);
-        out->objective += 0.5 * (square.v + log(det.v));
-        out->mean_square += 0.5 * square.v;
-        out->counted++;
-        for (int k = 0; k < FO_L; k++)
-            out->score[k] += 0.5 * (square.d[k] + det.d[k] * inverse.v);
+    z->S[0][0] = fo_add(m->noise, observed(m, &p, PH, 0, 0));
+    z->S[1][0] = z->S[0][1] = observed(m, &p, PH, 0, 1);
+    z->S[1][1] = fo_add(m->noise, observed(m, &p, PH, 1, 1));
+    z->det = fo_msub(fo_mul(z->S[0][0], z->S[1][1]), z->S[0][1], z->S[0][1]);
+    if (!(z->det.d[0] > 0.0) || !isfinite(z->det.d[0]) || !isfinite(z->e[0].d[0])) return false;
+    const fo_dual inverse = fo_inverse(z->det);
+    z->V[0][0] = fo_mul(z->S[1][1], inverse);
+    z->V[0][1] = z->V[1][0] = fo_scale(-1.0, fo_mul(z->S[0][1], inverse));
+    z->V[1][1] = fo_mul(z->S[0][0], inverse);
+    for (int a = 0; a < 2; a++)
+        z->w[a] = fo_mac(fo_mul(z->V[a][0], z->e[0]), z->V[a][1], z->e[1]);
+    fo_dual change[FO_STATES];
+    for (int r = 0; r < FO_STATES; r++) {
+        change[r] = fo_mac(fo_mul(PH[r][0], z->w[0]), PH[r][1], z->w[1]);
         for (int a = 0; a < 2; a++)
-            for (int b = 0; b < 2; b++)
-                add_information(V[a][b].v, e[a].d, e[b].d, out->information);
-        /* ½ tr(S⁻¹ ∂S S⁻¹ ∂S) */
-        double VS[2][2][FO_L];
-        for (int k = 0; k < FO_L; k++)
-            for (int a = 0; a < 2; a++) {
-                VS[a][0][k] = V[a][0].v * S[0][0].d[k] + V[a][1].v * S[0][1].d[k];
-                VS[a][1][k] = V[a][0].v * S[0][1].d[k] + V[a][1].v * S[1][1].d[k];
-            }
-        for (int a = 0; a < 2; a++)
-            for (int b = 0; b < 2; b++) add_information(0.5, VS[a][b], VS[b][a], out->information);
-    }
-    fo_dual change[STATES];
-    for (int r = 0; r < STATES; r++)
-        change[r] = fo_mac(fo_mul(PH[r][0], w[0]), PH[r][1], w[1]);
-    for (int r = 0; r < STATES; r++) {
-        const fo_dual K[2] = {fo_mac(fo_mul(PH[r][0], V[0][0]), PH[r][1], V[1][0]),
-                              fo_mac(fo_mul(PH[r][0], V[0][1]), PH[r][1], V[1][1])};
-        for (int c = r; c < STATES; c++) {
-            x->P[r][c] = fo_msub(fo_msub(x->P[r][c], K[0], PH[c][0]), K[1], PH[c][1]);
+            z->K[r][a] = fo_mac(fo_mul(PH[r][0], z->V[0][a]), PH[r][1], z->V[1][a]);
+        for (int c = r; c < FO_STATES; c++) {
+            fo_reduce(&x->P[r][c], &z->K[r][0], &PH[c][0]);
+            fo_reduce(&x->P[r][c], &z->K[r][1], &PH[c][1]);
             x->P[c][r] = x->P[r][c];
         }
     }
-    const fo_pair flux = {change[FLUX_D], change[FLUX_Q]}, drift = {change[DRIFT_D], change[DRIFT_Q]},
-                  noise = {change[NOISE_D], change[NOISE_Q]},
-                  residual = {fo_mul(m->noise, w[0]), fo_mul(m->noise, w[1])};
+    const fo_pair flux = {change[FO_FLUX_D], change[FO_FLUX_Q]},
+                  drift = {change[FO_DRIFT_D], change[FO_DRIFT_Q]},
+                  noise = {change[FO_NOISE_D], change[FO_NOISE_Q]},
+                  residual = {fo_mul(m->noise, z->w[0]), fo_mul(m->noise, z->w[1])};
     x->flux = fo_added(x->flux, 1.0, fo_turned(flux, p.unit));
     x->drift = fo_added(x->drift, 1.0, fo_turned(drift, p.unit));
     x->noise = fo_added(x->noise, 1.0, fo_turned(noise, p.unit));
     x->residual = fo_turned(residual, p.unit);
     x->measured = true;
-    x->angle = fo_add(x->angle, change[ANGLE]);
-    x->speed = fo_add(x->speed, change[SPEED]);
+    x->angle = fo_add(x->angle, change[FO_ANGLE]);
+    x->speed = fo_add(x->speed, change[FO_SPEED]);
+    x->acceleration = fo_add(x->acceleration, change[FO_ACCELERATION]);
+    x->gain = fo_add(x->gain, change[FO_GAIN]);
     return true;
 }
 
-/* Turns the rows `at` and `at` + 1 of P, then its columns, back by the angle of `unit`. */
-static void turn_covariance(fo_dual P[STATES][STATES], int at, fo_pair unit)
+/* ∂i_dq/∂a of the coefficients: −L⁻¹ e^{jhθ}, in both components. */
+static void current_by_harmonics(const model *m, const prediction *p, double by[2][2 * FO_ORDERS])
 {
-    for (int c = 0; c < STATES; c++) {
-        const fo_pair turned = fo_turned_back((fo_pair){P[at][c], P[at + 1][c]}, unit);
-        P[at][c] = turned.a;
-        P[at + 1][c] = turned.b;
-    }
-    for (int r = 0; r < STATES; r++) {
-        const fo_pair turned = fo_turned_back((fo_pair){P[r][at], P[r][at + 1]}, unit);
-        P[r][at] = turned.a;
-        P[r][at + 1] = turned.b;
+    const double inverse_d = m->inverse_d.d[0], inverse_q = m->inverse_q.d[0];
+    for (int n = 0; n < FO_ORDERS; n++) {
+        const fo_pair unit = power(p, orders[n]);
+        by[0][2 * n] = -inverse_d * unit.a.d[0];
+        by[1][2 * n] = -inverse_q * unit.b.d[0];
+        by[0][2 * n + 1] = inverse_d * unit.b.d[0];
+        by[1][2 * n + 1] = -inverse_q * unit.a.d[0];
     }
 }
 
-typedef struct {
-    double h;
-    fo_dual keep[2], by_angle[2], pole, gain;
-    fo_dual inverse[2], current_by_angle[2]; /* the measurement of the row */
-} transition;
-
-/* Errors of the state after an interval, in the coordinates before it. w of the row is the
- * residual: its error is that of the predicted current and noise. */
-static void moved(const transition *F, fo_dual e[STATES])
+/* Derivatives of the innovation e = y − H x − i by all parameters; those by the harmonics hold the
+ * gain. */
+static void error_derivatives(const model *m, const update *z, sensitivity x,
+                              double by[2][FO_UNKNOWNS])
 {
-    const fo_dual angle = fo_axpy(e[ANGLE], 0.5 * F->h, e[SPEED]);
+    double current[2][2 * FO_ORDERS];
+    current_by_harmonics(m, &z->at, current);
     for (int a = 0; a < 2; a++) {
-        const fo_dual wrong = fo_mac(fo_mac(e[NOISE_D + a], F->inverse[a], e[FLUX_D + a]),
-                                     F->current_by_angle[a], e[ANGLE]);
-        e[NOISE_D + a] = fo_msub(fo_mul(F->pole, e[NOISE_D + a]), F->gain, wrong);
-        e[FLUX_D + a] = fo_mac(fo_axpy(fo_mul(F->keep[a], e[FLUX_D + a]), -F->h, e[DRIFT_D + a]),
-                               F->by_angle[a], angle);
+        const double inverse = (a ? m->inverse_q : m->inverse_d).d[0];
+        const double by_angle = z->at.by_angle[a].d[0];
+        const double *flux = x[FO_FLUX_D + a], *noise = x[FO_NOISE_D + a], *angle = x[FO_ANGLE];
+        for (int k = 0; k < FO_L; k++) by[a][k] = z->e[a].d[k + 1];
+        for (int k = 0; k < 2 * FO_ORDERS; k++)
+            by[a][FO_L + k] =
+                -current[a][k] - inverse * flux[k] - by_angle * angle[k] - noise[k];
     }
-    e[ANGLE] = fo_axpy(e[ANGLE], F->h, e[SPEED]);
 }
 
-/* Time update over an interval, with the voltage that acts in it. */
-static void advance(const fo_log *log, const model *m, fo_pair voltage, state *x)
+/* Adds a row to the objective, the score and the information. */
+static void count(const update *z, double by[2][FO_UNKNOWNS], fo_likelihood *out)
+{
+    const fo_dual square = fo_mac(fo_mul(z->e[0], z->w[0]), z->e[1], z->w[1]);
+    const double inverse = 1.0 / z->det.d[0];
+    out->objective += 0.5 * (square.d[0] + log(z->det.d[0]));
+    out->mean_square += 0.5 * square.d[0];
+    out->counted++;
+    for (int k = 0; k < FO_L; k++)
+        out->score[k] += 0.5 * (square.d[k + 1] + z->det.d[k + 1] * inverse);
+    for (int k = FO_L; k < FO_UNKNOWNS; k++)
+        out->score[k] += by[0][k] * z->w[0].d[0] + by[1][k] * z->w[1].d[0];
+    for (int r = 0; r < FO_UNKNOWNS; r++) {
+        const double a = z->V[0][0].d[0] * by[0][r] + z->V[0][1].d[0] * by[1][r];
+        const double b = z->V[1][0].d[0] * by[0][r] + z->V[1][1].d[0] * by[1][r];
+        double *row = out->information + r * FO_UNKNOWNS;
+        for (int c = 0; c < FO_UNKNOWNS; c++) row[c] += a * by[0][c] + b * by[1][c];
+    }
+    /* ½ tr(S⁻¹ ∂S S⁻¹ ∂S) */
+    double VS[2][2][FO_L];
+    for (int a = 0; a < 2; a++)
+        for (int b = 0; b < 2; b++)
+            for (int k = 0; k < FO_L; k++)
+                VS[a][b][k] = z->V[a][0].d[0] * z->S[0][b].d[k + 1] +
+                              z->V[a][1].d[0] * z->S[1][b].d[k + 1];
+    for (int r = 0; r < FO_L; r++)
+        for (int a = 0; a < 2; a++)
+            for (int b = 0; b < 2; b++)
+                for (int c = 0; c < FO_L; c++)
+                    out->information[r * FO_UNKNOWNS + c] += 0.5 * VS[a][b][r] * VS[b][a][c];
+}
+
+static void put(transition *F, int row, int column, fo_dual value)
+{
+    element *e = &F->at[F->count++];
+    e->row = (unsigned char)row;
+    e->column = (unsigned char)column;
+    e->value = value;
+    e->constant = true;
+    for (int k = 1; k < FO_WIDTH; k++) e->constant &= value.d[k] == 0.0;
+}
+
+/* Two rows of the transition, turned back by the interval's angle, from a diagonal part. */
+static void put_turned(transition *F, int row, int column, fo_pair diagonal, fo_pair turn)
+{
+    put(F, row, column, fo_mul(turn.a, diagonal.a));
+    put(F, row, column + 1, fo_mul(turn.b, diagonal.b));
+    put(F, row + 1, column, fo_scale(-1.0, fo_mul(turn.b, diagonal.a)));
+    put(F, row + 1, column + 1, fo_mul(turn.a, diagonal.b));
+}
+
+static void put_vector(transition *F, int row, int column, fo_pair x)
+{
+    put(F, row, column, x.a);
+    put(F, row + 1, column, x.b);
+}
+
+/* Time update of the derivatives by the harmonics: F x, and what the current itself changes. */
+static void move_sensitivity(const transition *F, const model *m, const prediction *p,
+                             const fo_pair *turn, double h, double colour, sensitivity x)
+{
+    enum { COLUMNS = 2 * FO_ORDERS };
+    double next[FO_STATES][COLUMNS] = {{0.0}}, current[2][COLUMNS];
+    const double c = turn->a.d[0], s = turn->b.d[0];
+    current_by_harmonics(m, p, current);
+    for (int k = 0; k < F->count; k++) {
+        const element *e = &F->at[k];
+        for (int j = 0; j < COLUMNS; j++)
+            next[e->row][j] += e->value.d[0] * x[e->column][j];
+    }
+    double drop[2];
+    for (int a = 0; a < 2; a++) {
+        const double decay = h * m->R.d[0] * (a ? m->inverse_q : m->inverse_d).d[0];
+        drop[a] = h * m->R.d[0] * (1.0 - 0.5 * decay);
+    }
+    for (int j = 0; j < COLUMNS; j++) {
+        const double i_d = current[0][j], i_q = current[1][j];
+        next[FO_FLUX_D][j] -= c * drop[0] * i_d + s * drop[1] * i_q;
+        next[FO_FLUX_Q][j] -= c * drop[1] * i_q - s * drop[0] * i_d;
+        next[FO_NOISE_D][j] -= colour * (c * i_d + s * i_q);
+        next[FO_NOISE_Q][j] -= colour * (c * i_q - s * i_d);
+    }
+    memcpy(x, next, sizeof next);
+}
+
+/* r ← r + e x, or e x if r is not written yet. */
+static void apply(const element *e, const fo_dual *x, fo_dual *r, bool written)
+{
+    if (!e->constant)
+        (written ? fo_accumulate : fo_product)(r, &e->value, x);
+    else if (written)
+        fo_accumulate_scaled(r, e->value.d[0], x);
+    else
+        *r = fo_scale(e->value.d[0], *x);
+}
+
+/* P ← F P Fᵀ */
+static void move_covariance(const transition *F, state *x)
+{
+    fo_dual M[FO_STATES][FO_STATES];
+    bool written[FO_STATES] = {false};
+    for (int k = 0; k < F->count; k++) {
+        const element *e = &F->at[k];
+        for (int c = 0; c < FO_STATES; c++)
+            apply(e, &x->P[e->column][c], &M[e->row][c], written[e->row]);
+        written[e->row] = true;
+    }
+    memset(written, 0, sizeof written);
+    for (int k = 0; k < F->count; k++) {
+        const element *e = &F->at[k];
+        for (int r = 0; r <= e->row; r++)
+            apply(e, &M[r][e->column], &x->P[r][e->row], written[e->row]);
+        written[e->row] = true;
+    }
+    for (int r = 0; r < FO_STATES; r++)
+        for (int c = 0; c < r; c++) x->P[r][c] = x->P[c][r];
+}
+
+/* Time update over an interval, with the voltage that the log states for it. */
+static void advance(const fo_log *log, const model *m, fo_pair voltage, state *x, transition *F,
+                    sensitivity by_harmonics)
 {
     const double h = log->sample_time;
     const prediction now = predict(m, x->flux, x->angle);
-    /* Runge–Kutta: the current turns and decays within the interval. */
+    const fo_dual gain = fo_shift(1.0, x->gain);
+    const fo_pair applied = {fo_mul(voltage.a, gain), fo_mul(voltage.b, gain)};
+    /* Runge–Kutta: the current turns and decays within the interval; the harmonics are held. */
     static const double reach[4] = {0.0, 0.5, 0.5, 1.0}, weight[4] = {1.0, 2.0, 2.0, 1.0};
+    const fo_pair half_turn = fo_unit(fo_scale(0.5 * h, x->speed));
     fo_pair slope = {fo_constant(0.0), fo_constant(0.0)}, sum = slope;
+    prediction p = now;
     for (int stage = 0; stage < 4; stage++) {
-        const double at = reach[stage] * h;
-        const prediction p =
-            stage ? predict(m, fo_added(x->flux, at, slope), fo_axpy(x->angle, at, x->speed)) : now;
-        slope = emf(m, x, voltage, fo_turned(p.current, p.unit), log->knee);
+        if (stage == 1 || stage == 3) p.unit = fo_turned(p.unit, half_turn);
+        if (stage) current_at(m, fo_added(x->flux, reach[stage] * h, slope), &p);
+        slope = emf(m, x, applied, fo_turned(p.current, p.unit));
         sum = fo_added(sum, weight[stage], slope);
     }
     x->flux = fo_added(x->flux, h / 6.0, sum);
-    x->angle = fo_axpy(x->angle, h, x->speed);
-    x->noise.a = fo_mac(fo_mul(m->pole, x->noise.a), m->gain, x->residual.a);
-    x->noise.b = fo_mac(fo_mul(m->pole, x->noise.b), m->gain, x->residual.b);
+    x->noise.a = fo_mac(fo_mul(m->pole, x->noise.a), m->colour, x->residual.a);
+    x->noise.b = fo_mac(fo_mul(m->pole, x->noise.b), m->colour, x->residual.b);
+    const fo_dual acceleration =
+        fo_mac(x->acceleration, m->mobility, torque(now.flux, now.current));
+    const fo_dual angle = fo_axpy(fo_scale(h, x->speed), 0.5 * h * h, acceleration);
+    x->angle = fo_add(x->angle, angle);
+    x->speed = fo_axpy(x->speed, h, acceleration);
 
-    /* δλ⁺ = (1 − g) δλ − h R' ∂i/∂θ (δθ + h/2 δω) − h δv; the mean current of the interval has
-     * seen half of the decay. */
-    transition F;
-    F.h = h;
-    F.pole = m->pole;
-    F.gain = x->measured ? m->gain : fo_constant(0.0);
+    /* Errors: δλ⁺ = (1 − g) δλ − h R' ∂i/∂θ (δθ + h/2 δω) − h δv + h u δε; the mean current of the
+     * interval has seen half of the decay. w of the row is the residual: its error is that of the
+     * predicted current and noise. */
+    const fo_dual one = fo_constant(1.0);
+    const fo_dual colour = x->measured ? m->colour : fo_constant(0.0);
+    const fo_pair turn = fo_unit(angle), in_rotor = fo_turned_back(voltage, now.unit);
+    fo_pair keep, by_angle, by_flux, noise_by_angle;
     for (int a = 0; a < 2; a++) {
-        F.inverse[a] = a ? m->inverse_q : m->inverse_d;
-        F.current_by_angle[a] = now.by_angle[a];
-        const fo_dual decay = fo_scale(h, fo_mul(m->R, F.inverse[a]));
+        const fo_dual inverse = a ? m->inverse_q : m->inverse_d;
+        const fo_dual decay = fo_scale(h, fo_mul(m->R, inverse));
         const fo_dual mean = fo_shift(1.0, fo_scale(-0.5, decay));
-        F.keep[a] = fo_shift(1.0, fo_scale(-1.0, fo_mul(decay, mean)));
-        F.by_angle[a] = fo_scale(-h, fo_mul(fo_mul(m->R, mean), now.by_angle[a]));
+        *(a ? &keep.b : &keep.a) = fo_shift(1.0, fo_scale(-1.0, fo_mul(decay, mean)));
+        *(a ? &by_angle.b : &by_angle.a) =
+            fo_scale(-h, fo_mul(fo_mul(m->R, mean), now.by_angle[a]));
+        *(a ? &by_flux.b : &by_flux.a) = fo_scale(-1.0, fo_mul(colour, inverse));
+        *(a ? &noise_by_angle.b : &noise_by_angle.a) =
+            fo_scale(-1.0, fo_mul(colour, now.by_angle[a]));
     }
-    for (int c = 0; c < STATES; c++) {
-        fo_dual column[STATES];
-        for (int r = 0; r < STATES; r++) column[r] = x->P[r][c];
-        moved(&F, column);
-        for (int r = 0; r < STATES; r++) x->P[r][c] = column[r];
-    }
-    for (int r = 0; r < STATES; r++) moved(&F, x->P[r]);
-    const fo_pair turn = fo_unit(fo_scale(h, x->speed));
-    turn_covariance(x->P, FLUX_D, turn);
-    turn_covariance(x->P, DRIFT_D, turn);
-    turn_covariance(x->P, NOISE_D, turn);
+    const fo_dual memory = fo_sub(m->pole, colour);
+    const fo_pair rotor = fo_turned_back(by_angle, turn);
+    const fo_pair half = {fo_scale(0.5 * h, rotor.a), fo_scale(0.5 * h, rotor.b)};
+    F->count = 0;
+    put_turned(F, FO_FLUX_D, FO_FLUX_D, keep, turn);
+    put_vector(F, FO_FLUX_D, FO_ANGLE, rotor);
+    put_vector(F, FO_FLUX_D, FO_SPEED, half);
+    put_vector(F, FO_FLUX_D, FO_GAIN,
+               fo_turned_back((fo_pair){fo_scale(h, in_rotor.a), fo_scale(h, in_rotor.b)}, turn));
+    put_turned(F, FO_FLUX_D, FO_DRIFT_D, fo_constant_pair(-h, -h), turn);
+    put(F, FO_ANGLE, FO_ANGLE, one);
+    put(F, FO_ANGLE, FO_SPEED, fo_constant(h));
+    put(F, FO_ANGLE, FO_ACCELERATION, fo_constant(0.5 * h * h));
+    const fo_dual by_d = fo_msub(now.current.b, now.flux.b, m->inverse_d);
+    const fo_dual by_q = fo_sub(fo_mul(now.flux.a, m->inverse_q), now.current.a);
+    const fo_dual by_turn =
+        fo_msub(fo_mul(now.flux.a, now.by_angle[1]), now.flux.b, now.by_angle[0]);
+    const fo_dual mobility = fo_scale(h, m->mobility);
+    put(F, FO_SPEED, FO_FLUX_D, fo_mul(mobility, by_d));
+    put(F, FO_SPEED, FO_FLUX_Q, fo_mul(mobility, by_q));
+    put(F, FO_SPEED, FO_ANGLE, fo_mul(mobility, by_turn));
+    put(F, FO_SPEED, FO_SPEED, one);
+    put(F, FO_SPEED, FO_ACCELERATION, fo_constant(h));
+    put(F, FO_ACCELERATION, FO_ACCELERATION, one);
+    put(F, FO_GAIN, FO_GAIN, one);
+    put_turned(F, FO_DRIFT_D, FO_DRIFT_D, fo_constant_pair(1.0, 1.0), turn);
+    put_turned(F, FO_NOISE_D, FO_NOISE_D, (fo_pair){memory, memory}, turn);
+    put_turned(F, FO_NOISE_D, FO_FLUX_D, by_flux, turn);
+    put_vector(F, FO_NOISE_D, FO_ANGLE, fo_turned_back(noise_by_angle, turn));
+
+    move_covariance(F, x);
+    move_sensitivity(F, m, &now, &turn, h, colour.d[0], by_harmonics);
     for (int a = 0; a < 2; a++) {
-        x->P[a][a] = fo_axpy(x->P[a][a], h, m->voltage);
-        x->P[DRIFT_D + a][DRIFT_D + a] = fo_axpy(x->P[DRIFT_D + a][DRIFT_D + a], h, m->drift);
+        fo_dual *flux = &x->P[a][a], *drift = &x->P[FO_DRIFT_D + a][FO_DRIFT_D + a];
+        *flux = fo_axpy(*flux, h, m->voltage);
+        *drift = fo_axpy(*drift, h, m->drift);
     }
-    x->P[SPEED][SPEED] = fo_axpy(x->P[SPEED][SPEED], h, m->acceleration);
+    fo_dual *walk = &x->P[FO_ACCELERATION][FO_ACCELERATION];
+    *walk = fo_axpy(*walk, h, m->acceleration);
+    x->P[FO_GAIN][FO_GAIN] = fo_axpy(x->P[FO_GAIN][FO_GAIN], h, m->gain);
     if (!x->measured) { /* w of this row is unknown */
-        const fo_dual more = fo_mul(fo_mul(m->gain, m->gain), m->noise);
-        for (int a = NOISE_D; a <= NOISE_Q; a++) x->P[a][a] = fo_add(x->P[a][a], more);
+        const fo_dual more = fo_mul(fo_mul(m->colour, m->colour), m->noise);
+        for (int a = FO_NOISE_D; a <= FO_NOISE_Q; a++) x->P[a][a] = fo_add(x->P[a][a], more);
     }
     x->measured = false;
     x->residual = fo_constant_pair(0.0, 0.0);
 }
 
-bool fo_innovations(const fo_log *log, const double parameters[FO_L], const fo_start *start,
-                    fo_likelihood *out, double *angle)
+/* Keeps a row after its measurement update. */
+static void keep_row(const model *m, const state *x, const update *z, sensitivity by_harmonics,
+                     double error_by[2][FO_UNKNOWNS], fo_row *row)
+{
+    memset(row, 0, sizeof *row);
+    row->angle = x->angle.d[0];
+    row->speed = x->speed.d[0];
+    row->measured = x->measured;
+    for (int r = 0; r < FO_STATES; r++)
+        for (int c = 0; c < FO_STATES; c++) row->P[r][c] = x->P[r][c].d[0];
+    for (int k = 0; k < FO_UNKNOWNS; k++) {
+        row->state_by[0][k] = k < FO_L ? x->angle.d[k + 1] : by_harmonics[FO_ANGLE][k - FO_L];
+        row->state_by[1][k] = k < FO_L ? x->speed.d[k + 1] : by_harmonics[FO_SPEED][k - FO_L];
+    }
+    if (!x->measured) return;
+    memcpy(row->error_by, error_by, sizeof row->error_by);
+    for (int a = 0; a < 2; a++) {
+        row->error[a] = z->e[a].d[0];
+        row->H[a][FO_FLUX_D + a] = (a ? m->inverse_q : m->inverse_d).d[0];
+        row->H[a][FO_ANGLE] = z->at.by_angle[a].d[0];
+        row->H[a][FO_NOISE_D + a] = 1.0;
+        for (int b = 0; b < 2; b++) row->inverse[a][b] = z->V[a][b].d[0];
+        for (int r = 0; r < FO_STATES; r++) row->K[r][a] = z->K[r][a].d[0];
+    }
+}
+
+bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], const fo_start *start,
+                    fo_likelihood *out, fo_row *kept)
 {
     const model m = model_of(parameters);
     state x;
+    update z;
+    transition F;
+    sensitivity by_harmonics;
+    double error_by[2][FO_UNKNOWNS];
     memset(out, 0, sizeof *out);
+    memset(by_harmonics, 0, sizeof by_harmonics);
     start_at(log, &m, start, &x);
     for (size_t k = 0; k < log->rows; k++) {
         const double *i = log->current + 2 * k, *u = log->voltage + 2 * k;
         const double *before = k > 0 ? u - 2 : u;
-        if (isfinite(i[0]) && isfinite(i[1]) && !measure(&m, i, k >= start->skipped, &x, out))
-            return false;
-        if (angle) angle[k] = x.angle.v;
-        if (!isfinite(x.angle.v)) return false;
+        if (isfinite(i[0]) && isfinite(i[1])) {
+            if (!measure(&m, i, &x, &z)) return false;
+            error_derivatives(&m, &z, by_harmonics, error_by);
+            if (k >= start->skipped) count(&z, error_by, out);
+            for (int r = 0; r < FO_STATES; r++)
+                for (int j = 0; j < 2 * FO_ORDERS; j++)
+                    by_harmonics[r][j] += z.K[r][0].d[0] * error_by[0][FO_L + j] +
+                                          z.K[r][1].d[0] * error_by[1][FO_L + j];
+        }
+        if (!isfinite(x.angle.d[0])) return false;
+        if (kept) keep_row(&m, &x, &z, by_harmonics, error_by, kept + k);
         const fo_pair voltage = {fo_shift(u[0], fo_scale(before[0] - u[0], m.lag)),
                                  fo_shift(u[1], fo_scale(before[1] - u[1], m.lag))};
-        advance(log, &m, voltage, &x);
+        advance(log, &m, voltage, &x, &F, by_harmonics);
+        if (kept)
+            for (int n = 0; n < F.count; n++)
+                kept[k].F[F.at[n].row][F.at[n].column] = F.at[n].value.d[0];
     }
     if (out->counted) out->mean_square /= (double)out->counted;
     return true;

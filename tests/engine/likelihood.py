@@ -20,6 +20,12 @@ ENGINE = Path(__file__).parents[2] / "engine"
 NAMES = tuple(re.findall(r"NAME\((\w+)\)", (ENGINE / "parameters.h").read_text("utf-8")))
 N = len(NAMES)
 INDEX = {name: k for k, name in enumerate(NAMES)}
+#: Orders of the harmonics of the flux; each has two coefficients after the parameters.
+ORDERS = tuple(
+    int(order) for order in re.findall(r"ORDER\((-?\d+)\)", (ENGINE / "parameters.h").read_text("utf-8"))
+)
+UNKNOWNS = N + 2 * len(ORDERS)
+STATES = 10
 NUMBERS = ctypes.POINTER(ctypes.c_double)
 
 
@@ -29,7 +35,6 @@ class _Log(ctypes.Structure):
         ("sample_time", ctypes.c_double),
         ("voltage", NUMBERS),
         ("current", NUMBERS),
-        ("knee", ctypes.c_double),
     )
 
 
@@ -38,16 +43,34 @@ class Start(ctypes.Structure):
 
     _fields_ = (
         *((name, ctypes.c_double) for name in ("angle", "angle_std", "speed", "speed_std")),
-        *((name, ctypes.c_double) for name in ("flux_std", "drift_std")),
+        *((f"{name}_std", ctypes.c_double) for name in ("acceleration", "flux", "drift", "gain")),
         ("skipped", ctypes.c_size_t),
+    )
+
+
+class Row(ctypes.Structure):
+    """What the filter knows at a row; see engine/innovations.h."""
+
+    _fields_ = (
+        ("angle", ctypes.c_double),
+        ("speed", ctypes.c_double),
+        ("P", ctypes.c_double * STATES**2),
+        ("error", ctypes.c_double * 2),
+        ("inverse", ctypes.c_double * 4),
+        ("K", ctypes.c_double * (2 * STATES)),
+        ("H", ctypes.c_double * (2 * STATES)),
+        ("F", ctypes.c_double * STATES**2),
+        ("error_by", ctypes.c_double * (2 * UNKNOWNS)),
+        ("state_by", ctypes.c_double * (2 * UNKNOWNS)),
+        ("measured", ctypes.c_bool),
     )
 
 
 class _Likelihood(ctypes.Structure):
     _fields_ = (
         ("objective", ctypes.c_double),
-        ("score", ctypes.c_double * N),
-        ("information", ctypes.c_double * (N * N)),
+        ("score", ctypes.c_double * UNKNOWNS),
+        ("information", ctypes.c_double * UNKNOWNS**2),
         ("mean_square", ctypes.c_double),
         ("counted", ctypes.c_size_t),
     )
@@ -61,7 +84,7 @@ class Likelihood:
     score: Array
     information: Array
     mean_square: float
-    angle: Array
+    rows: NDArray[np.void]
 
 
 @cache
@@ -81,7 +104,6 @@ def likelihood(
     sample_time: float,
     parameters: Array,
     start: Start,
-    knee: float = 1.0,
     own: ctypes.CDLL | None = None,
 ) -> Likelihood:
     """Evaluate a log at the parameters; AssertionError if a number is not finite."""
@@ -90,12 +112,15 @@ def likelihood(
         return values.ctypes.data_as(NUMBERS)
 
     u, i = (np.ascontiguousarray(np.stack([x.real, x.imag], axis=1)) for x in (voltage, current))
-    p = np.ascontiguousarray(parameters, float)
-    angle, out = np.empty(len(i)), _Likelihood()
-    log = _Log(len(i), sample_time, pointer(u), pointer(i), knee)
+    p = np.zeros(UNKNOWNS)
+    p[: len(parameters)] = parameters
+    rows, out = (Row * len(i))(), _Likelihood()
+    log = _Log(len(i), sample_time, pointer(u), pointer(i))
     done = (own or library()).fo_innovations(
-        ctypes.byref(log), pointer(p), ctypes.byref(start), ctypes.byref(out), pointer(angle)
+        ctypes.byref(log), pointer(p), ctypes.byref(start), ctypes.byref(out), rows
     )
     assert done, "the covariance is not positive, or a number is not finite"
-    information = np.array(out.information).reshape(N, N)
-    return Likelihood(out.objective, np.array(out.score), information, out.mean_square, angle)
+    kept = np.frombuffer(rows, dtype=np.dtype(Row))
+    n = UNKNOWNS
+    information = np.array(out.information).reshape(n, n)
+    return Likelihood(out.objective, np.array(out.score), information, out.mean_square, kept)

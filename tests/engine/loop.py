@@ -1,6 +1,6 @@
 """Synchronous machines under a current controller that knows the log only: no encoder.
 
-The speed is a random walk, as the likelihood assumes. The controller takes its angle from its own
+The acceleration is a random walk, as the likelihood assumes. The controller takes its angle from its own
 flux observer. An encoder would put its knowledge of the rotor into the voltages, and an estimator
 without the encoder's signal would be biased.
 """
@@ -39,7 +39,7 @@ class Conditions:
     bandwidth: float = 0.35
     lag: int = 0
     i_d: float = 0.0
-    acceleration: float = 150.0
+    acceleration: float = 500.0
     duration: float = 0.6
     sample_time: float = 1e-4
     moving_mean: int = 1
@@ -63,7 +63,7 @@ def simulated(conditions: Conditions, drives: int, seed: int = 0) -> Record:
     kernel = np.full(c.moving_mean, c.noise / np.sqrt(c.moving_mean))
     noise = sum(k * white[n : n + rows] for n, k in enumerate(kernel))
     steps = c.acceleration * np.sqrt(h) * rng.standard_normal((rows, drives))
-    speeds = SPEED + np.cumsum(steps, axis=0)
+    speeds = SPEED + h * np.cumsum(np.cumsum(steps, axis=0), axis=0)
     angle = rng.uniform(0, 2 * np.pi, drives)
     drift = c.drift * (rng.standard_normal((drives, 2)) @ [1, 1j])
 

@@ -41,6 +41,7 @@ def parameters_of(c: Conditions) -> Array:
     p = np.zeros(N)
     given = {"resistance": c.R, "L_d": c.L_d, "L_q": c.L_q, "psi_f": c.psi, "noise": c.noise}
     given |= {"acceleration": c.acceleration, "voltage": 1e-6, "drift": 1e-3}
+    given |= {"gain": 1e-6, "knee": 1.0}
     if c.moving_mean == 2:  # n = (w + w before) / √2
         given["noise"] /= np.sqrt(2)
         p[INDEX["colour_gain"]] = 1.0
@@ -61,6 +62,8 @@ def starts(record: Record, drift: float, seed: int = 5) -> list[Start]:
             speed_std=10.0,
             flux_std=4e-4,
             drift_std=drift,
+            acceleration_std=0.0,
+            gain_std=0.0,
             skipped=SKIPPED,
         )
         for first in record.angle[0]

@@ -39,8 +39,8 @@ def test_score_is_the_derivative_of_the_objective(conditions):
     u, i = record.voltage[:, 0], record.current[:, 0].copy()
     i[300:303] = np.nan
     p = parameters_of(conditions) + 0.1
-    p[[NAMES.index("voltage"), NAMES.index("drift")]] = np.log([1e-3, 0.3])
-    start = Start(float(record.angle[0, 0]), 0.1, 240.0, 30.0, 1e-3, 0.1, 20)
+    p[[NAMES.index(name) for name in ("voltage", "drift", "gain")]] = np.log([1e-3, 0.3, 0.03])
+    start = Start(float(record.angle[0, 0]), 0.1, 240.0, 30.0, 300.0, 1e-3, 0.1, 0.02, 20)
     got = likelihood(u, i, 1e-4, p, start)
     for k, name in enumerate(NAMES):
         step = 1e-5 * np.eye(N)[k]
@@ -73,6 +73,6 @@ def test_numbers_that_cannot_be_end_the_evaluation():
     record = simulated(replace(SURFACE, duration=0.02), 1)
     u, i = record.voltage[:, 0].copy(), record.current[:, 0]
     u[50] = np.nan
-    start = Start(0.0, 0.1, 240.0, 30.0, 1e-3, 0.1, 0)
+    start = Start(0.0, 0.1, 240.0, 30.0, 0.0, 1e-3, 0.1, 0.0, 0)
     with pytest.raises(AssertionError, match="not finite"):
         likelihood(u, i, 1e-4, parameters_of(Conditions()), start)
