@@ -207,25 +207,50 @@ static fo_dual observed(const model *m, const prediction *p, fo_dual PH[FO_STATE
     return fo_mac(by_flux, p->by_angle[a], PH[FO_ANGLE][b]);
 }
 
+/* Innovation of a row. */
+static void innovation(const model *m, const double measured[2], const state *x, update *z)
+{
+    z->at = predict(m, x->flux, x->angle);
+    const fo_pair y = fo_turned_back(fo_constant_pair(measured[0], measured[1]), z->at.unit);
+    const fo_pair coloured = fo_turned_back(x->noise, z->at.unit);
+    z->e[0] = fo_sub(fo_sub(y.a, z->at.current.a), coloured.a);
+    z->e[1] = fo_sub(fo_sub(y.b, z->at.current.b), coloured.b);
+}
+
+/* Adds a correction of the errors to the state. */
+static void correct(const model *m, const update *z, const fo_dual change[FO_STATES], state *x)
+{
+    const fo_pair flux = {change[FO_FLUX_D], change[FO_FLUX_Q]},
+                  drift = {change[FO_DRIFT_D], change[FO_DRIFT_Q]},
+                  noise = {change[FO_NOISE_D], change[FO_NOISE_Q]},
+                  residual = {fo_mul(m->noise, z->w[0]), fo_mul(m->noise, z->w[1])};
+    x->flux = fo_added(x->flux, 1.0, fo_turned(flux, z->at.unit));
+    x->drift = fo_added(x->drift, 1.0, fo_turned(drift, z->at.unit));
+    x->noise = fo_added(x->noise, 1.0, fo_turned(noise, z->at.unit));
+    x->residual = fo_turned(residual, z->at.unit);
+    x->measured = true;
+    x->angle = fo_add(x->angle, change[FO_ANGLE]);
+    x->speed = fo_add(x->speed, change[FO_SPEED]);
+    x->acceleration = fo_add(x->acceleration, change[FO_ACCELERATION]);
+    x->gain = fo_add(x->gain, change[FO_GAIN]);
+}
+
 /* Measurement update. */
 static bool measure(const model *m, const double measured[2], state *x, update *z)
 {
-    const prediction p = z->at = predict(m, x->flux, x->angle);
-    const fo_pair y = fo_turned_back(fo_constant_pair(measured[0], measured[1]), p.unit);
-    const fo_pair coloured = fo_turned_back(x->noise, p.unit);
+    innovation(m, measured, x, z);
+    const prediction *p = &z->at;
     fo_dual PH[FO_STATES][2];
-    z->e[0] = fo_sub(fo_sub(y.a, p.current.a), coloured.a);
-    z->e[1] = fo_sub(fo_sub(y.b, p.current.b), coloured.b);
     for (int r = 0; r < FO_STATES; r++) {
         const fo_dual *P = x->P[r];
         PH[r][0] = fo_mac(fo_mac(P[FO_NOISE_D], P[FO_FLUX_D], m->inverse_d), P[FO_ANGLE],
-                          p.by_angle[0]);
+                          p->by_angle[0]);
         PH[r][1] = fo_mac(fo_mac(P[FO_NOISE_Q], P[FO_FLUX_Q], m->inverse_q), P[FO_ANGLE],
-                          p.by_angle[1]);
+                          p->by_angle[1]);
     }
-    z->S[0][0] = fo_add(m->noise, observed(m, &p, PH, 0, 0));
-    z->S[1][0] = z->S[0][1] = observed(m, &p, PH, 0, 1);
-    z->S[1][1] = fo_add(m->noise, observed(m, &p, PH, 1, 1));
+    z->S[0][0] = fo_add(m->noise, observed(m, p, PH, 0, 0));
+    z->S[1][0] = z->S[0][1] = observed(m, p, PH, 0, 1);
+    z->S[1][1] = fo_add(m->noise, observed(m, p, PH, 1, 1));
     z->det = fo_msub(fo_mul(z->S[0][0], z->S[1][1]), z->S[0][1], z->S[0][1]);
     if (!(z->det.d[0] > 0.0) || !isfinite(z->det.d[0]) || !isfinite(z->e[0].d[0])) return false;
     const fo_dual inverse = fo_inverse(z->det);
@@ -245,20 +270,42 @@ static bool measure(const model *m, const double measured[2], state *x, update *
             x->P[c][r] = x->P[r][c];
         }
     }
-    const fo_pair flux = {change[FO_FLUX_D], change[FO_FLUX_Q]},
-                  drift = {change[FO_DRIFT_D], change[FO_DRIFT_Q]},
-                  noise = {change[FO_NOISE_D], change[FO_NOISE_Q]},
-                  residual = {fo_mul(m->noise, z->w[0]), fo_mul(m->noise, z->w[1])};
-    x->flux = fo_added(x->flux, 1.0, fo_turned(flux, p.unit));
-    x->drift = fo_added(x->drift, 1.0, fo_turned(drift, p.unit));
-    x->noise = fo_added(x->noise, 1.0, fo_turned(noise, p.unit));
-    x->residual = fo_turned(residual, p.unit);
-    x->measured = true;
+    correct(m, z, change, x);
+    return true;
+}
+
+/* Measurement update with another estimate of the angle. It is a crutch for first steps from far
+ * away: no part of the objective. */
+static void lean(double angle, double std, state *x, sensitivity by_harmonics)
+{
+    const fo_dual e = fo_chain(x->angle, remainder(angle - x->angle.d[0], 6.283185307179586), -1.0);
+    const fo_dual inverse = fo_inverse(fo_shift(std * std, x->P[FO_ANGLE][FO_ANGLE]));
+    const fo_pair unit = fo_unit(x->angle);
+    fo_dual PH[FO_STATES], change[FO_STATES];
+    for (int r = 0; r < FO_STATES; r++) PH[r] = x->P[r][FO_ANGLE];
+    for (int r = 0; r < FO_STATES; r++) {
+        const fo_dual K = fo_mul(PH[r], inverse);
+        change[r] = fo_mul(K, e);
+        for (int c = r; c < FO_STATES; c++) {
+            fo_reduce(&x->P[r][c], &K, &PH[c]);
+            x->P[c][r] = x->P[r][c];
+        }
+    }
+    double angle_by[2 * FO_ORDERS];
+    memcpy(angle_by, by_harmonics[FO_ANGLE], sizeof angle_by);
+    for (int r = 0; r < FO_STATES; r++)
+        for (int j = 0; j < 2 * FO_ORDERS; j++)
+            by_harmonics[r][j] -= PH[r].d[0] * inverse.d[0] * angle_by[j];
+    x->flux = fo_added(x->flux, 1.0,
+                       fo_turned((fo_pair){change[FO_FLUX_D], change[FO_FLUX_Q]}, unit));
+    x->drift = fo_added(x->drift, 1.0,
+                        fo_turned((fo_pair){change[FO_DRIFT_D], change[FO_DRIFT_Q]}, unit));
+    x->noise = fo_added(x->noise, 1.0,
+                        fo_turned((fo_pair){change[FO_NOISE_D], change[FO_NOISE_Q]}, unit));
     x->angle = fo_add(x->angle, change[FO_ANGLE]);
     x->speed = fo_add(x->speed, change[FO_SPEED]);
     x->acceleration = fo_add(x->acceleration, change[FO_ACCELERATION]);
     x->gain = fo_add(x->gain, change[FO_GAIN]);
-    return true;
 }
 
 /* ∂i_dq/∂a of the coefficients: −L⁻¹ e^{jhθ}, in both components. */
@@ -410,12 +457,12 @@ static void move_covariance(const transition *F, state *x)
         for (int c = 0; c < r; c++) x->P[r][c] = x->P[c][r];
 }
 
-/* Time update over an interval, with the voltage that the log states for it. */
-static void advance(const fo_log *log, const model *m, fo_pair voltage, state *x, transition *F,
-                    sensitivity by_harmonics)
+/* The state after an interval of length h, with the voltage that the log states for it. `now`: the
+ * prediction before it; `turn`: e^{jθ} of the interval. */
+static void move_state(double h, const model *m, fo_pair voltage, state *x, transition *F,
+                       prediction *before, fo_pair *turned)
 {
-    const double h = log->sample_time;
-    const prediction now = predict(m, x->flux, x->angle);
+    const prediction now = *before = predict(m, x->flux, x->angle);
     const fo_dual gain = fo_shift(1.0, x->gain);
     const fo_pair applied = {fo_mul(voltage.a, gain), fo_mul(voltage.b, gain)};
     /* Runge–Kutta: the current turns and decays within the interval; the harmonics are held. */
@@ -443,7 +490,7 @@ static void advance(const fo_log *log, const model *m, fo_pair voltage, state *x
      * predicted current and noise. */
     const fo_dual one = fo_constant(1.0);
     const fo_dual colour = x->measured ? m->colour : fo_constant(0.0);
-    const fo_pair turn = fo_unit(angle), in_rotor = fo_turned_back(voltage, now.unit);
+    const fo_pair turn = *turned = fo_unit(angle), in_rotor = fo_turned_back(voltage, now.unit);
     fo_pair keep, by_angle, by_flux, noise_by_angle;
     for (int a = 0; a < 2; a++) {
         const fo_dual inverse = a ? m->inverse_q : m->inverse_d;
@@ -485,23 +532,41 @@ static void advance(const fo_log *log, const model *m, fo_pair voltage, state *x
     put_turned(F, FO_NOISE_D, FO_NOISE_D, (fo_pair){memory, memory}, turn);
     put_turned(F, FO_NOISE_D, FO_FLUX_D, by_flux, turn);
     put_vector(F, FO_NOISE_D, FO_ANGLE, fo_turned_back(noise_by_angle, turn));
+}
 
+/* Time update over an interval. */
+static void advance(double h, const model *m, fo_pair voltage, state *x, transition *F,
+                    sensitivity by_harmonics)
+{
+    prediction now;
+    fo_pair turn;
+    const double colour = x->measured ? m->colour.d[0] : 0.0;
+    move_state(h, m, voltage, x, F, &now, &turn);
     move_covariance(F, x);
-    move_sensitivity(F, m, &now, &turn, h, colour.d[0], by_harmonics);
+    move_sensitivity(F, m, &now, &turn, h, colour, by_harmonics);
+    const double passed = fabs(h);
     for (int a = 0; a < 2; a++) {
         fo_dual *flux = &x->P[a][a], *drift = &x->P[FO_DRIFT_D + a][FO_DRIFT_D + a];
-        *flux = fo_axpy(*flux, h, m->voltage);
-        *drift = fo_axpy(*drift, h, m->drift);
+        *flux = fo_axpy(*flux, passed, m->voltage);
+        *drift = fo_axpy(*drift, passed, m->drift);
     }
     fo_dual *walk = &x->P[FO_ACCELERATION][FO_ACCELERATION];
-    *walk = fo_axpy(*walk, h, m->acceleration);
-    x->P[FO_GAIN][FO_GAIN] = fo_axpy(x->P[FO_GAIN][FO_GAIN], h, m->gain);
+    *walk = fo_axpy(*walk, passed, m->acceleration);
+    x->P[FO_GAIN][FO_GAIN] = fo_axpy(x->P[FO_GAIN][FO_GAIN], passed, m->gain);
     if (!x->measured) { /* w of this row is unknown */
         const fo_dual more = fo_mul(fo_mul(m->colour, m->colour), m->noise);
         for (int a = FO_NOISE_D; a <= FO_NOISE_Q; a++) x->P[a][a] = fo_add(x->P[a][a], more);
     }
     x->measured = false;
     x->residual = fo_constant_pair(0.0, 0.0);
+}
+
+/* The voltage of an interval, with the lag. */
+static fo_pair late(const model *m, const double now[2], const double before[2])
+{
+    const fo_pair u = {fo_shift(now[0], fo_scale(before[0] - now[0], m->lag)),
+                       fo_shift(now[1], fo_scale(before[1] - now[1], m->lag))};
+    return u;
 }
 
 /* Keeps a row after its measurement update. */
@@ -545,6 +610,8 @@ bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], con
     for (size_t k = 0; k < log->rows; k++) {
         const double *i = log->current + 2 * k, *u = log->voltage + 2 * k;
         const double *before = k > 0 ? u - 2 : u;
+        if (log->witness && isfinite(log->witness[k]))
+            lean(log->witness[k], log->witness_std, &x, by_harmonics);
         if (isfinite(i[0]) && isfinite(i[1])) {
             if (!measure(&m, i, &x, &z)) return false;
             error_derivatives(&m, &z, by_harmonics, error_by);
@@ -556,13 +623,158 @@ bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], con
         }
         if (!isfinite(x.angle.d[0])) return false;
         if (kept) keep_row(&m, &x, &z, by_harmonics, error_by, kept + k);
-        const fo_pair voltage = {fo_shift(u[0], fo_scale(before[0] - u[0], m.lag)),
-                                 fo_shift(u[1], fo_scale(before[1] - u[1], m.lag))};
-        advance(log, &m, voltage, &x, &F, by_harmonics);
+        advance(log->sample_time, &m, late(&m, u, before), &x, &F, by_harmonics);
         if (kept)
             for (int n = 0; n < F.count; n++)
                 kept[k].F[F.at[n].row][F.at[n].column] = F.at[n].value.d[0];
     }
     if (out->counted) out->mean_square /= (double)out->counted;
+    return true;
+}
+
+/* The joint filter: the parameters are states too. */
+enum { ALL = FO_STATES + FO_L };
+
+/* Removes the derivatives: what is known is the number. */
+static void forget(fo_dual *x)
+{
+    for (int k = 1; k < FO_WIDTH; k++) x->d[k] = 0.0;
+}
+
+static void forget_all(state *x)
+{
+    fo_dual *const own[] = {&x->flux.a,  &x->flux.b,  &x->drift.a,    &x->drift.b,
+                            &x->noise.a, &x->noise.b, &x->residual.a, &x->residual.b,
+                            &x->angle,   &x->speed,   &x->acceleration, &x->gain};
+    for (size_t k = 0; k < sizeof own / sizeof *own; k++) forget(own[k]);
+}
+
+/* P ← F P Fᵀ + Q; F differs from one in the rows of the states. */
+static void move_joint(double F[FO_STATES][ALL], double P[ALL][ALL])
+{
+    double M[FO_STATES][ALL];
+    for (int r = 0; r < FO_STATES; r++)
+        for (int c = 0; c < ALL; c++) {
+            double sum = 0.0;
+            for (int k = 0; k < ALL; k++) sum += F[r][k] * P[k][c];
+            M[r][c] = sum;
+        }
+    for (int r = 0; r < FO_STATES; r++) {
+        for (int c = r; c < FO_STATES; c++) {
+            double sum = 0.0;
+            for (int k = 0; k < ALL; k++) sum += M[r][k] * F[c][k];
+            P[r][c] = P[c][r] = sum;
+        }
+        for (int c = FO_STATES; c < ALL; c++) P[r][c] = P[c][r] = M[r][c];
+    }
+}
+
+bool fo_joint(const fo_log *record, double parameters[FO_UNKNOWNS], double covariance[FO_L * FO_L],
+              const fo_start *start, double *objective, double *angle)
+{
+    model m = model_of(parameters);
+    state x;
+    update z;
+    transition T;
+    prediction now;
+    fo_pair turn;
+    const double h = record->sample_time;
+    double P[ALL][ALL] = {{0.0}};
+    start_at(record, &m, start, &x);
+    for (int r = 0; r < FO_STATES; r++) P[r][r] = x.P[r][r].d[0];
+    for (int r = 0; r < FO_L; r++)
+        for (int c = 0; c < FO_L; c++)
+            P[FO_STATES + r][FO_STATES + c] = covariance[r * FO_L + c];
+    /* The first flux is that of the parameters. */
+    const fo_pair first = fo_turned_back(x.flux, fo_unit(x.angle));
+    for (int c = 0; c < FO_L; c++)
+        for (int j = 0; j < FO_L; j++) {
+            const double variance_of = covariance[j * FO_L + c];
+            P[FO_FLUX_D][FO_STATES + c] += first.a.d[j + 1] * variance_of;
+            P[FO_FLUX_Q][FO_STATES + c] += first.b.d[j + 1] * variance_of;
+        }
+    for (int a = 0; a < 2; a++) {
+        for (int b = 0; b < 2; b++)
+            for (int j = 0; j < FO_L; j++)
+                P[a][b] += P[a][FO_STATES + j] * (b ? first.b : first.a).d[j + 1];
+        for (int c = FO_STATES; c < ALL; c++) P[c][a] = P[a][c];
+    }
+    *objective = 0.0;
+    for (size_t k = 0; k < record->rows; k++) {
+        const double *i = record->current + 2 * k, *u = record->voltage + 2 * k;
+        const double *before = k > 0 ? u - 2 : u;
+        if (isfinite(i[0]) && isfinite(i[1])) {
+            forget_all(&x);
+            innovation(&m, i, &x, &z);
+            double H[2][ALL] = {{0.0}}, PH[ALL][2], V[2][2], K[ALL][2];
+            double S[2][2] = {{m.noise.d[0], 0.0}, {0.0, m.noise.d[0]}};
+            for (int a = 0; a < 2; a++) {
+                H[a][FO_FLUX_D + a] = (a ? m.inverse_q : m.inverse_d).d[0];
+                H[a][FO_ANGLE] = z.at.by_angle[a].d[0];
+                H[a][FO_NOISE_D + a] = 1.0;
+                for (int j = 0; j < FO_L; j++) H[a][FO_STATES + j] = -z.e[a].d[j + 1];
+            }
+            for (int r = 0; r < ALL; r++)
+                for (int a = 0; a < 2; a++) {
+                    PH[r][a] = 0.0;
+                    for (int c = 0; c < ALL; c++) PH[r][a] += P[r][c] * H[a][c];
+                }
+            for (int a = 0; a < 2; a++)
+                for (int b = 0; b < 2; b++)
+                    for (int c = 0; c < ALL; c++) S[a][b] += H[a][c] * PH[c][b];
+            const double det = S[0][0] * S[1][1] - S[0][1] * S[1][0];
+            if (!(det > 0.0) || !isfinite(det)) return false;
+            V[0][0] = S[1][1] / det;
+            V[1][1] = S[0][0] / det;
+            V[0][1] = V[1][0] = -S[0][1] / det;
+            const double e[2] = {z.e[0].d[0], z.e[1].d[0]};
+            const double w[2] = {V[0][0] * e[0] + V[0][1] * e[1],
+                                 V[1][0] * e[0] + V[1][1] * e[1]};
+            if (k >= start->skipped) *objective += 0.5 * (e[0] * w[0] + e[1] * w[1] + log(det));
+            fo_dual change[FO_STATES];
+            for (int r = 0; r < ALL; r++) {
+                for (int a = 0; a < 2; a++) K[r][a] = PH[r][0] * V[0][a] + PH[r][1] * V[1][a];
+                const double own = PH[r][0] * w[0] + PH[r][1] * w[1];
+                if (r < FO_STATES)
+                    change[r] = fo_constant(own);
+                else
+                    parameters[r - FO_STATES] += own;
+            }
+            for (int r = 0; r < ALL; r++)
+                for (int c = r; c < ALL; c++)
+                    P[c][r] = P[r][c] -= K[r][0] * PH[c][0] + K[r][1] * PH[c][1];
+            for (int a = 0; a < 2; a++) z.w[a] = fo_constant(w[a]);
+            correct(&m, &z, change, &x);
+            m = model_of(parameters);
+        }
+        if (!isfinite(x.angle.d[0])) return false;
+        if (angle) angle[k] = x.angle.d[0];
+        forget_all(&x);
+        move_state(h, &m, late(&m, u, before), &x, &T, &now, &turn);
+        double F[FO_STATES][ALL] = {{0.0}};
+        for (int n = 0; n < T.count; n++) F[T.at[n].row][T.at[n].column] = T.at[n].value.d[0];
+        const fo_pair unit = fo_unit(fo_constant(x.angle.d[0]));
+        const fo_pair flux = fo_turned_back(x.flux, unit), noise = fo_turned_back(x.noise, unit);
+        for (int j = 0; j < FO_L; j++) {
+            F[FO_FLUX_D][FO_STATES + j] = flux.a.d[j + 1];
+            F[FO_FLUX_Q][FO_STATES + j] = flux.b.d[j + 1];
+            F[FO_ANGLE][FO_STATES + j] = x.angle.d[j + 1];
+            F[FO_SPEED][FO_STATES + j] = x.speed.d[j + 1];
+            F[FO_NOISE_D][FO_STATES + j] = noise.a.d[j + 1];
+            F[FO_NOISE_Q][FO_STATES + j] = noise.b.d[j + 1];
+        }
+        move_joint(F, P);
+        for (int a = 0; a < 2; a++) {
+            P[a][a] += h * m.voltage.d[0];
+            P[FO_DRIFT_D + a][FO_DRIFT_D + a] += h * m.drift.d[0];
+        }
+        P[FO_ACCELERATION][FO_ACCELERATION] += h * m.acceleration.d[0];
+        P[FO_GAIN][FO_GAIN] += h * m.gain.d[0];
+        x.measured = false;
+        x.residual = fo_constant_pair(0.0, 0.0);
+    }
+    for (int r = 0; r < FO_L; r++)
+        for (int c = 0; c < FO_L; c++)
+            covariance[r * FO_L + c] = P[FO_STATES + r][FO_STATES + c];
     return true;
 }

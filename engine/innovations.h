@@ -38,6 +38,8 @@ typedef struct {
     double sample_time;    /* [s] */
     const double *voltage; /* rows × 2: mean from this row to the next, with the log's lag [V] */
     const double *current; /* rows × 2, NaN where it is missing [A] */
+    const double *witness; /* rows: another estimate of the angle, NaN where it has none; or null */
+    double witness_std;    /* of a row of it, as if rows were independent [rad] */
 } fo_log;
 
 /* State at the first row, with standard deviations. The flux is that of the measured current. */
@@ -76,6 +78,11 @@ typedef struct {
  * False: a number is not finite, or a covariance is not positive. */
 bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], const fo_start *start,
                     fo_likelihood *out, fo_row *kept);
+
+/* The same filter with the parameters as states: a first estimate from far away. `parameters` and
+ * `covariance`, of the FO_L first: prior, then posterior. */
+bool fo_joint(const fo_log *log, double parameters[FO_UNKNOWNS], double covariance[FO_L * FO_L],
+              const fo_start *start, double *objective, double *angle);
 
 #ifdef __cplusplus
 }

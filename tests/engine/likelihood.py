@@ -35,6 +35,8 @@ class _Log(ctypes.Structure):
         ("sample_time", ctypes.c_double),
         ("voltage", NUMBERS),
         ("current", NUMBERS),
+        ("witness", NUMBERS),
+        ("witness_std", ctypes.c_double),
     )
 
 
@@ -115,7 +117,7 @@ def likelihood(
     p = np.zeros(UNKNOWNS)
     p[: len(parameters)] = parameters
     rows, out = (Row * len(i))(), _Likelihood()
-    log = _Log(len(i), sample_time, pointer(u), pointer(i))
+    log = _Log(len(i), sample_time, pointer(u), pointer(i), None, 0.0)
     done = (own or library()).fo_innovations(
         ctypes.byref(log), pointer(p), ctypes.byref(start), ctypes.byref(out), rows
     )
