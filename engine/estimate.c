@@ -15,14 +15,19 @@ enum {
     BRIEF = 12        /* of a stage of growth */
 };
 static const double quarter_turn = 1.5707963267948966; /* [rad]: the speed is constant in it */
+static const double price = 9.2; /* half squares: the rotor jumps once in ten thousand rows */
 static const double coarse = 1.0, fine = 0.02; /* half squares: a stage ends with such a gain */
 
 /* Root mean square of the voltages of a part. */
 static double mean_voltage(const fo_log *record, size_t first, size_t rows)
 {
-    double sum = 0.0;
-    for (size_t k = 2 * first; k < 2 * (first + rows); k++) sum += record->voltage[k] * record->voltage[k];
-    return sqrt(sum / (double)rows);
+    double sum = 0.0, known = 0.0;
+    for (size_t k = 2 * first; k < 2 * (first + rows); k++) {
+        if (!isfinite(record->voltage[k])) continue;
+        sum += record->voltage[k] * record->voltage[k];
+        known += 0.5;
+    }
+    return sqrt(sum / fmax(known, 1.0));
 }
 
 static void put(fo_prior *prior, int k, double mean, double std)
@@ -76,12 +81,11 @@ static fo_log part(const fo_log *record, size_t first, size_t rows)
     fo_log own = *record;
     own.voltage += 2 * first;
     own.current += 2 * first;
-    if (own.witness) own.witness += first;
     own.rows = rows;
     return own;
 }
 
-static fo_start start_at(const fo_log *record, const fo_file *file, place at)
+static fo_start start_at(const fo_log *record, const fo_file *file, place at, double jump)
 {
     const double u = fmax(mean_voltage(record, 0, record->rows), 1e-9), speed = u / file->psi_f;
     const fo_start start = {
@@ -94,6 +98,7 @@ static fo_start start_at(const fo_log *record, const fo_file *file, place at)
         .drift_std = 0.02 * u,
         .gain_std = 0.0, /* by definition: R, L and ψ belong to the gain of the first row */
         .skipped = SKIPPED < record->rows ? SKIPPED : 0,
+        .price = jump,
     };
     return start;
 }
@@ -106,6 +111,7 @@ static place from_rotation(const fo_log *record, const fo_file *file)
     size_t rows = record->rows < REACH ? record->rows : REACH;
     for (; rows < record->rows && rows < DIRECTION; rows++) {
         const double *a = u + 2 * (rows - REACH), *b = u + 2 * rows;
+        if (!isfinite(a[0] + a[1] + b[0] + b[1])) continue;
         dot += a[0] * b[0] + a[1] * b[1];
         cross += a[0] * b[1] - a[1] * b[0];
         turn = atan2(cross, dot) / REACH;
@@ -114,10 +120,10 @@ static place from_rotation(const fo_log *record, const fo_file *file)
     double v[2] = {0.0, 0.0}, i[2] = {0.0, 0.0}, known = 0.0;
     for (size_t k = 0; k < rows; k++) {
         const double *own = record->current + 2 * k;
+        if (!isfinite(own[0] + own[1] + u[2 * k] + u[2 * k + 1])) continue;
         double c = cos(turn * ((double)k + 0.5)), s = sin(turn * ((double)k + 0.5));
         v[0] += c * u[2 * k] + s * u[2 * k + 1];
         v[1] += c * u[2 * k + 1] - s * u[2 * k];
-        if (!isfinite(own[0]) || !isfinite(own[1])) continue;
         c = cos(turn * (double)k);
         s = sin(turn * (double)k);
         i[0] += c * own[0] + s * own[1];
@@ -127,7 +133,7 @@ static place from_rotation(const fo_log *record, const fo_file *file)
     const double speed = turn / h;
     for (int a = 0; a < 2; a++) {
         i[a] /= fmax(known, 1.0);
-        v[a] = v[a] / (double)rows - file->R * i[a];
+        v[a] = v[a] / fmax(known, 1.0) - file->R * i[a];
     }
     /* Division by jω: at rest, the direction of the current is as good as any. */
     const double w = fabs(speed) > 1e-6 ? speed : 1e-6;
@@ -177,8 +183,8 @@ static bool backwards(const fo_log *record, const fo_file *file, const double *p
             const size_t from = last - k > first ? last - k - 1 : first;
             voltage[2 * k + (size_t)a] = record->voltage[2 * from + (size_t)a];
         }
-    fo_log own = {count, -record->sample_time, voltage, current, NULL, 0.0};
-    fo_start start = start_at(record, file, *at);
+    const fo_log own = {count, -record->sample_time, voltage, current};
+    fo_start start = start_at(record, file, *at, 0.0);
     start.angle_std = 0.05;
     start.skipped = 0;
     fo_likelihood out;
@@ -206,7 +212,7 @@ static bool maximise(const fo_log *record, const fo_start *start, const fo_prior
 }
 
 static bool grow(const fo_log *record, const fo_file *file, const fo_prior *prior, fo_row *rows,
-                 fo_smoothed *smoothed, double *reversed, fo_posterior *out)
+                 double jump, fo_smoothed *smoothed, double *reversed, fo_posterior *out)
 {
     size_t length = record->rows < SEED ? record->rows : SEED, first = fastest(record, length);
     fo_log own = part(record, first, length);
@@ -214,7 +220,7 @@ static bool grow(const fo_log *record, const fo_file *file, const fo_prior *prio
     begin(record, file, prior, out);
     for (bool seed = true;; seed = false) {
         const bool whole = length == record->rows;
-        fo_start start = start_at(&own, file, at);
+        fo_start start = start_at(&own, file, at, jump);
         if (!maximise(&own, &start, prior, whole, seed, out)) return false;
         if (whole) {
             fo_likelihood last;
@@ -242,11 +248,21 @@ fo_outcome fo_estimate(const fo_log *record, const fo_file *file, fo_posterior *
     const fo_prior prior = fo_ordinary_prior(record, file);
     fo_row *kept = malloc(record->rows * sizeof *kept);
     double *reversed = malloc(4 * record->rows * sizeof *reversed);
+    fo_smoothed *other = malloc(record->rows * sizeof *other);
     fo_outcome outcome = FO_NO_MEMORY;
-    if (kept && reversed)
-        outcome = grow(record, file, &prior, kept, rows, reversed, posterior) ? FO_ESTIMATED
-                                                                           : FO_NO_ESTIMATE;
+    if (kept && reversed && other) {
+        /* With and without jumps of the rotor; the same objective compares them. */
+        fo_posterior with;
+        const bool found = grow(record, file, &prior, kept, 0.0, rows, reversed, posterior);
+        const bool found_with = grow(record, file, &prior, kept, price, other, reversed, &with);
+        if (found_with && !(found && posterior->objective <= with.objective)) {
+            *posterior = with;
+            memcpy(rows, other, record->rows * sizeof *rows);
+        }
+        outcome = found || found_with ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    }
     free(kept);
     free(reversed);
+    free(other);
     return outcome;
 }

@@ -274,40 +274,6 @@ static bool measure(const model *m, const double measured[2], state *x, update *
     return true;
 }
 
-/* Measurement update with another estimate of the angle. It is a crutch for first steps from far
- * away: no part of the objective. */
-static void lean(double angle, double std, state *x, sensitivity by_harmonics)
-{
-    const fo_dual e = fo_chain(x->angle, remainder(angle - x->angle.d[0], 6.283185307179586), -1.0);
-    const fo_dual inverse = fo_inverse(fo_shift(std * std, x->P[FO_ANGLE][FO_ANGLE]));
-    const fo_pair unit = fo_unit(x->angle);
-    fo_dual PH[FO_STATES], change[FO_STATES];
-    for (int r = 0; r < FO_STATES; r++) PH[r] = x->P[r][FO_ANGLE];
-    for (int r = 0; r < FO_STATES; r++) {
-        const fo_dual K = fo_mul(PH[r], inverse);
-        change[r] = fo_mul(K, e);
-        for (int c = r; c < FO_STATES; c++) {
-            fo_reduce(&x->P[r][c], &K, &PH[c]);
-            x->P[c][r] = x->P[r][c];
-        }
-    }
-    double angle_by[2 * FO_ORDERS];
-    memcpy(angle_by, by_harmonics[FO_ANGLE], sizeof angle_by);
-    for (int r = 0; r < FO_STATES; r++)
-        for (int j = 0; j < 2 * FO_ORDERS; j++)
-            by_harmonics[r][j] -= PH[r].d[0] * inverse.d[0] * angle_by[j];
-    x->flux = fo_added(x->flux, 1.0,
-                       fo_turned((fo_pair){change[FO_FLUX_D], change[FO_FLUX_Q]}, unit));
-    x->drift = fo_added(x->drift, 1.0,
-                        fo_turned((fo_pair){change[FO_DRIFT_D], change[FO_DRIFT_Q]}, unit));
-    x->noise = fo_added(x->noise, 1.0,
-                        fo_turned((fo_pair){change[FO_NOISE_D], change[FO_NOISE_Q]}, unit));
-    x->angle = fo_add(x->angle, change[FO_ANGLE]);
-    x->speed = fo_add(x->speed, change[FO_SPEED]);
-    x->acceleration = fo_add(x->acceleration, change[FO_ACCELERATION]);
-    x->gain = fo_add(x->gain, change[FO_GAIN]);
-}
-
 /* ∂i_dq/∂a of the coefficients: −L⁻¹ e^{jhθ}, in both components. */
 static void current_by_harmonics(const model *m, const prediction *p, double by[2][2 * FO_ORDERS])
 {
@@ -569,6 +535,46 @@ static fo_pair late(const model *m, const double now[2], const double before[2])
     return u;
 }
 
+/* Removes the derivatives: what is known is the number. */
+static void forget(fo_dual *x)
+{
+    for (int k = 1; k < FO_WIDTH; k++) x->d[k] = 0.0;
+}
+
+static void forget_all(state *x)
+{
+    fo_dual *const own[] = {&x->flux.a,  &x->flux.b,  &x->drift.a,    &x->drift.b,
+                            &x->noise.a, &x->noise.b, &x->residual.a, &x->residual.b,
+                            &x->angle,   &x->speed,   &x->acceleration, &x->gain};
+    for (size_t k = 0; k < sizeof own / sizeof *own; k++) forget(own[k]);
+}
+
+/* The filter has lost the rotor where innovations stay far larger than their covariance says. Then
+ * its covariance is that of a start again: it finds the rotor, and rows before and after a jump do
+ * not spoil each other. */
+enum { RECENT = 16 };
+static const double lost = 8.0; /* of the normalised innovations; 1 if all is right */
+
+static bool is_lost(const update *z, double *recent)
+{
+    const double square = z->e[0].d[0] * z->w[0].d[0] + z->e[1].d[0] * z->w[1].d[0];
+    *recent += (0.5 * square - *recent) / RECENT;
+    if (*recent < lost) return false;
+    *recent = 1.0;
+    return true;
+}
+
+static void start_again(const fo_start *start, state *x, sensitivity by_harmonics)
+{
+    const double stds[FO_GAIN] = {start->flux_std, start->flux_std, start->angle_std,
+                                  start->speed_std, start->acceleration_std};
+    forget_all(x); /* derivatives of a filter that is lost grow without bound */
+    memset(by_harmonics, 0, sizeof(sensitivity));
+    for (int r = 0; r < FO_STATES; r++)
+        for (int c = 0; c < FO_STATES; c++) forget(&x->P[r][c]);
+    for (int k = 0; k < FO_GAIN; k++) x->P[k][k].d[0] += stds[k] * stds[k];
+}
+
 /* Keeps a row after its measurement update. */
 static void keep_row(const model *m, const state *x, const update *z, sensitivity by_harmonics,
                      double error_by[2][FO_UNKNOWNS], fo_row *row)
@@ -603,19 +609,25 @@ bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], con
     update z;
     transition F;
     sensitivity by_harmonics;
-    double error_by[2][FO_UNKNOWNS];
+    double error_by[2][FO_UNKNOWNS], recent = 1.0, held[2] = {0.0, 0.0}, before[2];
     memset(out, 0, sizeof *out);
     memset(by_harmonics, 0, sizeof by_harmonics);
     start_at(log, &m, start, &x);
     for (size_t k = 0; k < log->rows; k++) {
         const double *i = log->current + 2 * k, *u = log->voltage + 2 * k;
-        const double *before = k > 0 ? u - 2 : u;
-        if (log->witness && isfinite(log->witness[k]))
-            lean(log->witness[k], log->witness_std, &x, by_harmonics);
+        const bool known = isfinite(u[0]) && isfinite(u[1]);
+        memcpy(before, held, sizeof before);
+        if (known) memcpy(held, u, sizeof held);
+        if (k == 0) memcpy(before, held, sizeof before);
         if (isfinite(i[0]) && isfinite(i[1])) {
             if (!measure(&m, i, &x, &z)) return false;
             error_derivatives(&m, &z, by_harmonics, error_by);
             if (k >= start->skipped) count(&z, error_by, out);
+            if (start->price > 0.0 && is_lost(&z, &recent)) {
+                start_again(start, &x, by_harmonics);
+                out->objective += start->price;
+                out->losses++;
+            }
             for (int r = 0; r < FO_STATES; r++)
                 for (int j = 0; j < 2 * FO_ORDERS; j++)
                     by_harmonics[r][j] += z.K[r][0].d[0] * error_by[0][FO_L + j] +
@@ -623,158 +635,16 @@ bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], con
         }
         if (!isfinite(x.angle.d[0])) return false;
         if (kept) keep_row(&m, &x, &z, by_harmonics, error_by, kept + k);
-        advance(log->sample_time, &m, late(&m, u, before), &x, &F, by_harmonics);
+        advance(log->sample_time, &m, late(&m, held, before), &x, &F, by_harmonics);
+        if (!known) { /* held, and as uncertain as it is large */
+            const double h = log->sample_time;
+            const double variance_of = h * h * (held[0] * held[0] + held[1] * held[1]);
+            for (int a = 0; a < 2; a++) x.P[a][a].d[0] += 0.5 * variance_of;
+        }
         if (kept)
             for (int n = 0; n < F.count; n++)
                 kept[k].F[F.at[n].row][F.at[n].column] = F.at[n].value.d[0];
     }
     if (out->counted) out->mean_square /= (double)out->counted;
-    return true;
-}
-
-/* The joint filter: the parameters are states too. */
-enum { ALL = FO_STATES + FO_L };
-
-/* Removes the derivatives: what is known is the number. */
-static void forget(fo_dual *x)
-{
-    for (int k = 1; k < FO_WIDTH; k++) x->d[k] = 0.0;
-}
-
-static void forget_all(state *x)
-{
-    fo_dual *const own[] = {&x->flux.a,  &x->flux.b,  &x->drift.a,    &x->drift.b,
-                            &x->noise.a, &x->noise.b, &x->residual.a, &x->residual.b,
-                            &x->angle,   &x->speed,   &x->acceleration, &x->gain};
-    for (size_t k = 0; k < sizeof own / sizeof *own; k++) forget(own[k]);
-}
-
-/* P ← F P Fᵀ + Q; F differs from one in the rows of the states. */
-static void move_joint(double F[FO_STATES][ALL], double P[ALL][ALL])
-{
-    double M[FO_STATES][ALL];
-    for (int r = 0; r < FO_STATES; r++)
-        for (int c = 0; c < ALL; c++) {
-            double sum = 0.0;
-            for (int k = 0; k < ALL; k++) sum += F[r][k] * P[k][c];
-            M[r][c] = sum;
-        }
-    for (int r = 0; r < FO_STATES; r++) {
-        for (int c = r; c < FO_STATES; c++) {
-            double sum = 0.0;
-            for (int k = 0; k < ALL; k++) sum += M[r][k] * F[c][k];
-            P[r][c] = P[c][r] = sum;
-        }
-        for (int c = FO_STATES; c < ALL; c++) P[r][c] = P[c][r] = M[r][c];
-    }
-}
-
-bool fo_joint(const fo_log *record, double parameters[FO_UNKNOWNS], double covariance[FO_L * FO_L],
-              const fo_start *start, double *objective, double *angle)
-{
-    model m = model_of(parameters);
-    state x;
-    update z;
-    transition T;
-    prediction now;
-    fo_pair turn;
-    const double h = record->sample_time;
-    double P[ALL][ALL] = {{0.0}};
-    start_at(record, &m, start, &x);
-    for (int r = 0; r < FO_STATES; r++) P[r][r] = x.P[r][r].d[0];
-    for (int r = 0; r < FO_L; r++)
-        for (int c = 0; c < FO_L; c++)
-            P[FO_STATES + r][FO_STATES + c] = covariance[r * FO_L + c];
-    /* The first flux is that of the parameters. */
-    const fo_pair first = fo_turned_back(x.flux, fo_unit(x.angle));
-    for (int c = 0; c < FO_L; c++)
-        for (int j = 0; j < FO_L; j++) {
-            const double variance_of = covariance[j * FO_L + c];
-            P[FO_FLUX_D][FO_STATES + c] += first.a.d[j + 1] * variance_of;
-            P[FO_FLUX_Q][FO_STATES + c] += first.b.d[j + 1] * variance_of;
-        }
-    for (int a = 0; a < 2; a++) {
-        for (int b = 0; b < 2; b++)
-            for (int j = 0; j < FO_L; j++)
-                P[a][b] += P[a][FO_STATES + j] * (b ? first.b : first.a).d[j + 1];
-        for (int c = FO_STATES; c < ALL; c++) P[c][a] = P[a][c];
-    }
-    *objective = 0.0;
-    for (size_t k = 0; k < record->rows; k++) {
-        const double *i = record->current + 2 * k, *u = record->voltage + 2 * k;
-        const double *before = k > 0 ? u - 2 : u;
-        if (isfinite(i[0]) && isfinite(i[1])) {
-            forget_all(&x);
-            innovation(&m, i, &x, &z);
-            double H[2][ALL] = {{0.0}}, PH[ALL][2], V[2][2], K[ALL][2];
-            double S[2][2] = {{m.noise.d[0], 0.0}, {0.0, m.noise.d[0]}};
-            for (int a = 0; a < 2; a++) {
-                H[a][FO_FLUX_D + a] = (a ? m.inverse_q : m.inverse_d).d[0];
-                H[a][FO_ANGLE] = z.at.by_angle[a].d[0];
-                H[a][FO_NOISE_D + a] = 1.0;
-                for (int j = 0; j < FO_L; j++) H[a][FO_STATES + j] = -z.e[a].d[j + 1];
-            }
-            for (int r = 0; r < ALL; r++)
-                for (int a = 0; a < 2; a++) {
-                    PH[r][a] = 0.0;
-                    for (int c = 0; c < ALL; c++) PH[r][a] += P[r][c] * H[a][c];
-                }
-            for (int a = 0; a < 2; a++)
-                for (int b = 0; b < 2; b++)
-                    for (int c = 0; c < ALL; c++) S[a][b] += H[a][c] * PH[c][b];
-            const double det = S[0][0] * S[1][1] - S[0][1] * S[1][0];
-            if (!(det > 0.0) || !isfinite(det)) return false;
-            V[0][0] = S[1][1] / det;
-            V[1][1] = S[0][0] / det;
-            V[0][1] = V[1][0] = -S[0][1] / det;
-            const double e[2] = {z.e[0].d[0], z.e[1].d[0]};
-            const double w[2] = {V[0][0] * e[0] + V[0][1] * e[1],
-                                 V[1][0] * e[0] + V[1][1] * e[1]};
-            if (k >= start->skipped) *objective += 0.5 * (e[0] * w[0] + e[1] * w[1] + log(det));
-            fo_dual change[FO_STATES];
-            for (int r = 0; r < ALL; r++) {
-                for (int a = 0; a < 2; a++) K[r][a] = PH[r][0] * V[0][a] + PH[r][1] * V[1][a];
-                const double own = PH[r][0] * w[0] + PH[r][1] * w[1];
-                if (r < FO_STATES)
-                    change[r] = fo_constant(own);
-                else
-                    parameters[r - FO_STATES] += own;
-            }
-            for (int r = 0; r < ALL; r++)
-                for (int c = r; c < ALL; c++)
-                    P[c][r] = P[r][c] -= K[r][0] * PH[c][0] + K[r][1] * PH[c][1];
-            for (int a = 0; a < 2; a++) z.w[a] = fo_constant(w[a]);
-            correct(&m, &z, change, &x);
-            m = model_of(parameters);
-        }
-        if (!isfinite(x.angle.d[0])) return false;
-        if (angle) angle[k] = x.angle.d[0];
-        forget_all(&x);
-        move_state(h, &m, late(&m, u, before), &x, &T, &now, &turn);
-        double F[FO_STATES][ALL] = {{0.0}};
-        for (int n = 0; n < T.count; n++) F[T.at[n].row][T.at[n].column] = T.at[n].value.d[0];
-        const fo_pair unit = fo_unit(fo_constant(x.angle.d[0]));
-        const fo_pair flux = fo_turned_back(x.flux, unit), noise = fo_turned_back(x.noise, unit);
-        for (int j = 0; j < FO_L; j++) {
-            F[FO_FLUX_D][FO_STATES + j] = flux.a.d[j + 1];
-            F[FO_FLUX_Q][FO_STATES + j] = flux.b.d[j + 1];
-            F[FO_ANGLE][FO_STATES + j] = x.angle.d[j + 1];
-            F[FO_SPEED][FO_STATES + j] = x.speed.d[j + 1];
-            F[FO_NOISE_D][FO_STATES + j] = noise.a.d[j + 1];
-            F[FO_NOISE_Q][FO_STATES + j] = noise.b.d[j + 1];
-        }
-        move_joint(F, P);
-        for (int a = 0; a < 2; a++) {
-            P[a][a] += h * m.voltage.d[0];
-            P[FO_DRIFT_D + a][FO_DRIFT_D + a] += h * m.drift.d[0];
-        }
-        P[FO_ACCELERATION][FO_ACCELERATION] += h * m.acceleration.d[0];
-        P[FO_GAIN][FO_GAIN] += h * m.gain.d[0];
-        x.measured = false;
-        x.residual = fo_constant_pair(0.0, 0.0);
-    }
-    for (int r = 0; r < FO_L; r++)
-        for (int c = 0; c < FO_L; c++)
-            covariance[r * FO_L + c] = P[FO_STATES + r][FO_STATES + c];
     return true;
 }

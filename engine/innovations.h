@@ -36,10 +36,9 @@ enum {
 typedef struct {
     size_t rows;
     double sample_time;    /* [s] */
-    const double *voltage; /* rows × 2: mean from this row to the next, with the log's lag [V] */
-    const double *current; /* rows × 2, NaN where it is missing [A] */
-    const double *witness; /* rows: another estimate of the angle, NaN where it has none; or null */
-    double witness_std;    /* of a row of it, as if rows were independent [rad] */
+    /* rows × 2, NaN where they are missing: mean from this row to the next, with the log's lag [V] */
+    const double *voltage;
+    const double *current; /* [A] */
 } fo_log;
 
 /* State at the first row, with standard deviations. The flux is that of the measured current. */
@@ -51,6 +50,7 @@ typedef struct {
     double drift_std;        /* of a component [V] */
     double gain_std;         /* of the voltage's gain [1] */
     size_t skipped;          /* rows until the innovations count */
+    double price; /* of losing the rotor and starting again at a row [half squares]; 0: never */
 } fo_start;
 
 typedef struct {
@@ -59,6 +59,7 @@ typedef struct {
     double information[FO_UNKNOWNS * FO_UNKNOWNS]; /* expected second derivative (Fisher) */
     double mean_square; /* of the normalised innovations; 1 if the levels are right */
     size_t counted;     /* rows */
+    size_t losses;      /* times that the filter lost the rotor */
 } fo_likelihood;
 
 /* What the filter knows at a row, for smoothing backwards. */
@@ -78,11 +79,6 @@ typedef struct {
  * False: a number is not finite, or a covariance is not positive. */
 bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], const fo_start *start,
                     fo_likelihood *out, fo_row *kept);
-
-/* The same filter with the parameters as states: a first estimate from far away. `parameters` and
- * `covariance`, of the FO_L first: prior, then posterior. */
-bool fo_joint(const fo_log *log, double parameters[FO_UNKNOWNS], double covariance[FO_L * FO_L],
-              const fo_start *start, double *objective, double *angle);
 
 #ifdef __cplusplus
 }

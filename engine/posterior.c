@@ -150,7 +150,11 @@ static bool invert(const selection *s, double H[MOST][MOST], double *covariance,
 {
     double R[MOST][MOST], scale[MOST], unit[MOST] = {0.0}, column[MOST];
     memset(covariance, 0, sizeof(double) * FO_UNKNOWNS * FO_UNKNOWNS);
-    if (!factor(s->count, H, 0.0, scale, R)) return false;
+    double ridge = 0.0; /* relative; needed where the filter has lost the rotor */
+    while (!factor(s->count, H, ridge, scale, R)) {
+        ridge = ridge > 0.0 ? 100.0 * ridge : 1e-12;
+        if (ridge > 1e-3) return false;
+    }
     *half_log = 0.0;
     for (int c = 0; c < s->count; c++) {
         *half_log += log(R[c][c]) - log(scale[c]);

@@ -40,8 +40,8 @@ RATED = 12.0
 #: Lines of the source with a deliberate error.
 ERRORS = {
     "regressor from the measured current": (
-        ("static void advance(", "static const double *measured;\nstatic void advance("),
-        ("        advance(log,", "        measured = i;\n        advance(log,"),
+        ("static void move_state(", "static const double *measured;\nstatic void move_state("),
+        ("        advance(log->", "        measured = i;\n        advance(log->"),
         ("fo_turned(p.current, p.unit)", "fo_constant_pair(measured[0], measured[1])"),
     ),
     "∂ ln det S left out": (

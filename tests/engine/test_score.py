@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from engine.likelihood import NAMES, N, Start, likelihood
+from engine.likelihood import NAMES, ORDERS, UNKNOWNS, N, Start, likelihood
 from engine.loop import INTERIOR, SURFACE, Conditions, simulated
 from engine.score_table import ERRORS, with_error
 from engine.scores import TESTED, parameters_of, scores_at_the_truth
@@ -69,10 +69,63 @@ def test_a_deliberate_error_is_seen(tmp_path, error):
     assert np.abs(scores_at_the_truth(loud, FEW, own).deviation()).max() > 2 * MOST
 
 
+def test_derivatives_by_the_harmonics_hold_the_gain():
+    """Small, as a fit leaves them: the gain then depends on them in second order."""
+    record = simulated(replace(INTERIOR, duration=0.08), 1)
+    u, i = record.voltage[:, 0], record.current[:, 0]
+    p = np.zeros(UNKNOWNS)
+    p[:N] = parameters_of(INTERIOR)
+    start = Start(float(record.angle[0, 0]), 0.01, 250.0, 1.0, 0.0, 1e-5, 0.05, 0.0, 20)
+    rng = np.random.default_rng(0)
+    p[N:] = 2e-7 * rng.standard_normal(UNKNOWNS - N)
+    got = likelihood(u, i, 1e-4, p, start)
+    stds = np.sqrt(np.diag(got.information)[N:]) ** -1
+    for k in range(N, UNKNOWNS):
+        step = 0.01 * stds[k - N] * np.eye(UNKNOWNS)[k]
+        above, below = (likelihood(u, i, 1e-4, p + s * step, start).objective for s in (1, -1))
+        numeric = (above - below) / (0.02 * stds[k - N])
+        assert stds[k - N] * (got.score[k] - numeric) == pytest.approx(0.0, abs=0.3), ORDERS[(k - N) // 2]
+
+
+def test_missing_rows_leave_the_angle_right():
+    """Currents and voltages are missing at times."""
+    record = simulated(replace(SURFACE, duration=0.2), 1)
+    u, i = record.voltage[:, 0].copy(), record.current[:, 0].copy()
+    u[[0, 500, 900]], i[[300, 301, 302, 700]] = np.nan, np.nan
+    start = Start(float(record.angle[0, 0]), 0.1, 250.0, 10.0, 0.0, 4e-4, 0.05, 0.0, 100)
+    got = likelihood(u, i, 1e-4, parameters_of(SURFACE), start)
+    error = np.angle(np.exp(1j * (got.rows["angle"] - record.angle[:, 0])))
+    assert np.abs(np.degrees(error[200:])).max() < 1.0
+    assert not got.rows["measured"][[300, 301, 302, 700]].any()
+
+
 def test_numbers_that_cannot_be_end_the_evaluation():
     record = simulated(replace(SURFACE, duration=0.02), 1)
-    u, i = record.voltage[:, 0].copy(), record.current[:, 0]
-    u[50] = np.nan
+    u, i = record.voltage[:, 0], record.current[:, 0]
     start = Start(0.0, 0.1, 240.0, 30.0, 0.0, 1e-3, 0.1, 0.0, 0)
+    p = parameters_of(Conditions())
+    p[NAMES.index("L_d")] = np.nan
     with pytest.raises(AssertionError, match="not finite"):
-        likelihood(u, i, 1e-4, parameters_of(Conditions()), start)
+        likelihood(u, i, 1e-4, p, start)
+
+
+def test_a_rotor_that_jumps_is_found_again():
+    """A radian between two rows: with a price for it, the filter starts again and finds it."""
+    record = simulated(replace(SURFACE, duration=0.3), 1)
+    jump = 1.0 * (np.arange(len(record.angle)) >= 1000)
+    u, i = (x[:, 0] * np.exp(1j * jump) for x in (record.voltage, record.current))
+    angle = record.angle[:, 0] + jump
+    lost, found = (
+        likelihood(
+            u,
+            i,
+            1e-4,
+            parameters_of(SURFACE),
+            Start(angle[0], 0.2, 250.0, 30.0, 300.0, 4e-4, 0.05, 0.0, 100, price),
+        )
+        for price in (0.0, 9.2)
+    )
+    assert found.losses > 0 == lost.losses
+    error = np.angle(np.exp(1j * (found.rows["angle"] - angle)))
+    assert np.abs(np.degrees(error[1400:])).max() < 2.0
+    assert found.objective < lost.objective

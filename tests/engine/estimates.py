@@ -1,0 +1,118 @@
+"""The estimate of engine/estimate.c from Python."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from engine.likelihood import INDEX, N, UNKNOWNS, Array, Complex, Row, library, log_of, pointer
+
+OUTCOMES = ("estimated", "no estimate", "no memory")
+#: Relative standard deviations of a machine file: resistance, inductances, magnet flux.
+TOLERANCES = (0.3, 0.15, 0.15)
+
+
+class File(ctypes.Structure):
+    """A machine file; see engine/estimate.h."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_double)
+        for name in (
+            *("R", "L_d", "L_q", "psi_f", "rated_current"),
+            *("R_std", "L_std", "psi_std", "lag", "lag_std"),
+        )
+    )
+
+
+class _Posterior(ctypes.Structure):
+    _fields_ = (
+        ("parameters", ctypes.c_double * UNKNOWNS),
+        ("covariance", ctypes.c_double * UNKNOWNS**2),
+        *((name, ctypes.c_double) for name in ("harmonics", "objective", "evidence")),
+        ("mean_square", ctypes.c_double),
+        ("evaluations", ctypes.c_size_t),
+        ("converged", ctypes.c_bool),
+    )
+
+
+#: A smoothed row.
+SMOOTHED = np.dtype([(name, float) for name in ("angle", "angle_std", "speed", "speed_std")])
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Rows and parameters of a log."""
+
+    rows: NDArray[np.void]
+    parameters: Array
+    covariance: Array
+    harmonics: float
+    objective: float
+    mean_square: float
+    evaluations: int
+    converged: bool
+
+    def value(self, name: str) -> float:
+        return float(self.parameters[INDEX[name]])
+
+    def std(self, name: str) -> float:
+        return float(np.sqrt(self.covariance[INDEX[name], INDEX[name]]))
+
+
+def file_of(
+    R: float,
+    L_d: float,
+    L_q: float,
+    psi_f: float,
+    rated_current: float,
+    tolerances: tuple[float, float, float] = TOLERANCES,
+    lag: tuple[float, float] = (0.0, 0.3),
+) -> File:
+    """Return a machine file with ordinary tolerances; `lag` is a prior: mean and std."""
+    return File(R, L_d, L_q, psi_f, rated_current, *tolerances, *lag)
+
+
+def estimate(voltage: Complex, current: Complex, sample_time: float, file: File) -> Estimate:
+    """Estimate a log; ValueError with the outcome if there is no estimate."""
+    rows, out = np.zeros(len(current), SMOOTHED), _Posterior()
+    with log_of(voltage, current, sample_time) as log:
+        outcome = library().fo_estimate(
+            ctypes.byref(log), ctypes.byref(file), ctypes.byref(out), pointer(rows)
+        )
+    if outcome:
+        raise ValueError(OUTCOMES[outcome])
+    return Estimate(
+        rows,
+        np.array(out.parameters),
+        np.array(out.covariance).reshape(UNKNOWNS, UNKNOWNS),
+        out.harmonics,
+        out.objective,
+        out.mean_square,
+        out.evaluations,
+        out.converged,
+    )
+
+
+def smoothed(rows: NDArray[np.void], covariance: Array | None = None) -> NDArray[np.void]:
+    """Smooth rows that the filter kept."""
+    kept = np.ascontiguousarray(rows)
+    out = np.zeros(len(kept), SMOOTHED)
+    address = kept.ctypes.data_as(ctypes.POINTER(Row))
+    library().fo_smooth(
+        address,
+        ctypes.c_size_t(len(kept)),
+        None if covariance is None else pointer(covariance),
+        pointer(out),
+    )
+    return out
+
+
+def degrees(angle: Array, true: Array) -> Array:
+    """Return the error of an angle [°]."""
+    return np.degrees(np.angle(np.exp(1j * (angle - true))))
+
+
+__all__ = ["N", "Estimate", "File", "degrees", "estimate", "file_of", "smoothed"]
