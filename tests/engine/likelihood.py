@@ -139,4 +139,6 @@ def likelihood(
     kept = np.frombuffer(rows, dtype=np.dtype(Row))
     n = UNKNOWNS
     information = np.array(out.information).reshape(n, n)
-    return Likelihood(out.objective, np.array(out.score), information, out.mean_square, out.losses, kept)
+    return Likelihood(
+        out.objective, np.array(out.score), information, out.mean_square, out.losses, kept
+    )

@@ -1,8 +1,7 @@
-"""Synchronous machines under a current controller that knows the log only: no encoder.
+"""Synchronous machines under a current controller.
 
-The acceleration is a random walk, as the likelihood assumes. The controller takes its angle from its own
-flux observer. An encoder would put its knowledge of the rotor into the voltages, and an estimator
-without the encoder's signal would be biased.
+The acceleration is a random walk, as the likelihood assumes. The controller takes its angle from its
+own flux observer, or from an encoder, which puts its knowledge of the rotor into the voltages.
 """
 
 from __future__ import annotations
@@ -44,6 +43,7 @@ class Conditions:
     sample_time: float = 1e-4
     moving_mean: int = 1
     drift: float = 0.05
+    encoder: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +82,8 @@ def simulated(conditions: Conditions, drives: int, seed: int = 0) -> Record:
     record = Record(*(np.empty((rows, drives), kind) for kind in (complex, complex, float)))
     for k in range(rows):
         measured = current_of(flux) * np.exp(1j * angle) + noise[k]
+        if c.encoder:
+            own.angle, own.speed = angle, speeds[k]
         voltage = own.voltage(measured, wanted(k * h), flux_of)
         record.voltage[k], record.current[k] = voltage + drift, measured
         record.angle[k] = angle
@@ -104,9 +106,10 @@ class Controller:
         self, measured: Complex, wanted: complex, flux_of: Callable[[Complex], Complex]
     ) -> Complex:
         c = self.c
-        error = np.angle((self.flux - c.L_q * measured) * np.exp(-1j * self.angle))
-        self.angle += 0.2 * error
-        self.speed += 0.01 * error / c.sample_time
+        if not c.encoder:
+            error = np.angle((self.flux - c.L_q * measured) * np.exp(-1j * self.angle))
+            self.angle = self.angle + 0.2 * error
+            self.speed = self.speed + 0.01 * error / c.sample_time
         current = measured * np.exp(-1j * self.angle)
         self.i_d, difference = current.real, wanted - current
         gain = c.bandwidth / c.sample_time
@@ -120,7 +123,7 @@ class Controller:
         active = self.flux - c.L_q * measured
         excess = c.psi + (c.L_d - c.L_q) * self.i_d - np.abs(active)
         self.flux = self.flux + h * (applied - c.R * measured) + 100 * h * active / c.psi * excess
-        self.angle += h * self.speed
+        self.angle = self.angle + h * self.speed
 
 
 def _through(

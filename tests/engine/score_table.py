@@ -44,9 +44,7 @@ ERRORS = {
         ("        advance(log->", "        measured = i;\n        advance(log->"),
         ("fo_turned(p.current, p.unit)", "fo_constant_pair(measured[0], measured[1])"),
     ),
-    "∂ ln det S left out": (
-        ("square.d[k + 1] + z->det.d[k + 1] * inverse", "square.d[k + 1]"),
-    ),
+    "∂ ln det S left out": (("square.d[k + 1] + z->det.d[k + 1] * inverse", "square.d[k + 1]"),),
 }
 
 

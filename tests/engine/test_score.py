@@ -84,7 +84,9 @@ def test_derivatives_by_the_harmonics_hold_the_gain():
         step = 0.01 * stds[k - N] * np.eye(UNKNOWNS)[k]
         above, below = (likelihood(u, i, 1e-4, p + s * step, start).objective for s in (1, -1))
         numeric = (above - below) / (0.02 * stds[k - N])
-        assert stds[k - N] * (got.score[k] - numeric) == pytest.approx(0.0, abs=0.3), ORDERS[(k - N) // 2]
+        assert stds[k - N] * (got.score[k] - numeric) == pytest.approx(0.0, abs=0.3), ORDERS[
+            (k - N) // 2
+        ]
 
 
 def test_missing_rows_leave_the_angle_right():

@@ -1,0 +1,157 @@
+"""Estimates of engine/estimate.c: calibration, noise in a closed loop, and measured logs.
+
+    python tests/engine/estimate_table.py [--drives 40] [--write]
+
+The measured logs are those of benchmarks/measured.py; without them, their tables are skipped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
+
+from common import MEASURED  # noqa: E402
+from numbers_data import Numbers  # noqa: E402
+
+from engine.estimates import Estimate, File, degrees, estimate, file_of  # noqa: E402
+from engine.likelihood import Array, Complex  # noqa: E402
+from engine.loop import INTERIOR, SURFACE, Conditions, simulated  # noqa: E402
+from measured import LAYOUT, MACHINE, Q8  # noqa: E402
+
+RATED = 12.0
+#: Name and conditions of the closed loops; files are 15 to 20 % wrong.
+LOOPS = {
+    "surface": SURFACE,
+    "interior": INTERIOR,
+    **{
+        f"surface, encoder, noise {share} %": replace(
+            SURFACE, noise=RATED * share / 100, encoder=True
+        )
+        for share in (0.08, 0.25, 0.8)
+    },
+    "surface, encoder, lag −1": replace(SURFACE, lag=1, bandwidth=0.2, encoder=True),
+}
+LOOP_HEADER = ("", "rms", "position", "speed", "R", "L_d", "L_q", "ψ", "mean error of L_q")
+MEASURED_HEADER = ("log", "rms", "mean", "largest", "in halves", "in quarters", "L", "ψ")
+#: Rows of a measured log, of its halves and of its quarters.
+WHOLE = (0, 4000)
+PARTS = [[(k, k + n) for k in range(0, 4000, n)] for n in (2000, 1000)]
+
+
+def _estimated(job: tuple[Complex, Complex, float, File]) -> Estimate:
+    return estimate(*job[:3], job[3])
+
+
+def squares(c: Conditions, drives: int) -> list[dict[str, float]]:
+    """Return (error/σ)² of each drive, and the error of L_q in percent."""
+    record = simulated(c, drives, seed=11)
+    lag = (1.0, 0.3) if c.lag else (0.0, 0.3)
+    file = file_of(1.15 * c.R, 0.8 * c.L_d, 0.8 * c.L_q, 1.1 * c.psi, RATED, lag=lag)
+    jobs = [(record.voltage[:, k], record.current[:, k], 1e-4, file) for k in range(drives)]
+    true = {"R": c.R, "L_d": c.L_d, "L_q": c.L_q, "psi_f": c.psi}
+    names = {"R": "resistance"}
+    with ProcessPoolExecutor() as pool:
+        done = list(pool.map(_estimated, jobs))
+    rows = []
+    for k, e in enumerate(done):
+        error = degrees(e.rows["angle"], record.angle[:, k])
+        speed = np.gradient(record.angle[:, k], 1e-4)
+        row = {
+            "position": float(np.mean((error / np.degrees(e.rows["angle_std"])) ** 2)),
+            "speed": float(np.mean(((e.rows["speed"] - speed) / e.rows["speed_std"]) ** 2)),
+            "rms": float(np.sqrt(np.mean(error**2))),
+            "L_q error": float(100 * (np.exp(e.value("L_q")) / c.L_q - 1)),
+        }
+        for name, value in true.items():
+            own = names.get(name, name)
+            row[name] = ((e.value(own) - np.log(value)) / e.std(own)) ** 2
+        rows.append(row)
+    return rows
+
+
+def loop_row(name: str, rows: list[dict[str, float]]) -> list[str]:
+    """Return the cells of a closed loop."""
+
+    def mean(key: str) -> float:
+        return float(np.mean([row[key] for row in rows]))
+
+    std = float(np.std([row["L_q error"] for row in rows]))
+    return [
+        name,
+        f"{np.sqrt(np.mean([row['rms'] ** 2 for row in rows])):.2f}°",
+        *(f"{mean(key):.2f}" for key in ("position", "speed", "R", "L_d", "L_q", "psi_f")),
+        f"{mean('L_q error'):+.1f} ± {std / np.sqrt(len(rows)):.1f} %",
+    ]
+
+
+def part(path: Path, rows: tuple[int, int]) -> tuple[Array, Estimate]:
+    """Return the errors of the angle [°] on rows of a measured log, and the estimate."""
+    table = pl.read_csv(path)
+    u, i = (table.select(f"{x}_a", f"{x}_b").to_numpy() @ [1, 1j] * Q8 for x in "ui")
+    true = MACHINE.n_p * Q8 * table["AngMes"].to_numpy()
+    own, R, L = slice(*rows), MACHINE.R_s, MACHINE.L_s
+    # The voltages act a row later than the log says.
+    delayed = np.concatenate([u[:1], u[:-1]])[own]
+    # The published data have no rated current: four times the std of the current.
+    file = file_of(R, L, L, MACHINE.psi_f, float(4 * np.std(i[own])))
+    done = estimate(delayed, i[own], float(LAYOUT["sample_time"]), file)
+    return degrees(done.rows["angle"], true[own]), done
+
+
+def measured_row(path: Path) -> list[str]:
+    """Return the cells of a measured log: the whole, and the largest errors of its parts."""
+    error, whole = part(path, WHOLE)
+    halves, quarters = (
+        max(float(np.abs(part(path, rows)[0]).max()) for rows in parts) for parts in PARTS
+    )
+    L = 1e3 * np.exp(whole.value("L_d"))
+    return [
+        path.stem,
+        f"{np.sqrt(np.mean(error**2)):.2f}°",
+        f"{error.mean():+.2f}°",
+        f"{np.abs(error).max():.1f}°",
+        f"{halves:.1f}°",
+        f"{quarters:.1f}°",
+        f"{L:.2f} ± {L * whole.std('L_d'):.2f} mH",
+        f"{1e3 * np.exp(whole.value('psi_f')):.1f} mWb",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--drives", type=int, default=40)
+    parser.add_argument(
+        "--write", action="store_true", help="write docs/numbers/estimate_table.json"
+    )
+    drives = parser.parse_args().drives
+    with Numbers("estimate_table", ["engine/*.[ch]", "tests/engine/*.py"]) as numbers:
+        loops = []
+        for name, conditions in LOOPS.items():
+            loops.append(loop_row(name, squares(conditions, drives)))
+            print("\t".join(loops[-1]), flush=True)
+        numbers.table("loops", LOOP_HEADER, loops)
+        numbers.value("drives", drives)
+        paths = sorted(MEASURED.glob("data*.csv"))
+        if not paths:
+            print(f"skipped: no measured logs in {MEASURED}")
+            return
+        with ProcessPoolExecutor() as pool:
+            logs = list(pool.map(measured_row, paths))
+        for row in logs:
+            print("\t".join(row))
+        numbers.table("measured", MEASURED_HEADER, logs)
+        rms = [float(row[1].removesuffix("°")) for row in logs]
+        numbers.value("mean", np.mean(rms), "{:.2f}°")
+
+
+if __name__ == "__main__":
+    main()
