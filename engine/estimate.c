@@ -114,7 +114,7 @@ static place from_rotation(const fo_log *record, const fo_file *file)
         if (!isfinite(a[0] + a[1] + b[0] + b[1])) continue;
         dot += a[0] * b[0] + a[1] * b[1];
         cross += a[0] * b[1] - a[1] * b[0];
-        turn = atan2(cross, dot) / REACH;
+        turn = atan2(cross, dot) / (double)REACH;
         if (rows > 4 * REACH && fabs(turn) * (double)rows > quarter_turn) break;
     }
     double v[2] = {0.0, 0.0}, i[2] = {0.0, 0.0}, known = 0.0;
@@ -211,6 +211,22 @@ static bool maximise(const fo_log *record, const fo_start *start, const fo_prior
     return true;
 }
 
+/* All rows at the final parameters. So far the first angle was a crutch of the linearisation. Now it
+ * is known where to linearise, and nothing is known of the angle but what the log tells. */
+static bool last_pass(const fo_log *record, const fo_file *file, const fo_prior *prior, place first,
+                      double jump, fo_row *rows, fo_smoothed *smoothed, fo_posterior *out)
+{
+    fo_likelihood last;
+    fo_start start = start_at(record, file, first, jump);
+    start.angle_std = 0.0;
+    start.flux_std *= 0.1;
+    if (!fo_innovations(record, out->parameters, &start, &last, rows) ||
+        !fo_covariance(&last, prior, out))
+        return false;
+    fo_smooth(rows, record->rows, out->covariance, smoothed);
+    return true;
+}
+
 static bool grow(const fo_log *record, const fo_file *file, const fo_prior *prior, fo_row *rows,
                  double jump, fo_smoothed *smoothed, double *reversed, fo_posterior *out)
 {
@@ -222,13 +238,8 @@ static bool grow(const fo_log *record, const fo_file *file, const fo_prior *prio
         const bool whole = length == record->rows;
         fo_start start = start_at(&own, file, at, jump);
         if (!maximise(&own, &start, prior, whole, seed, out)) return false;
-        if (whole) {
-            fo_likelihood last;
-            if (!fo_innovations(&own, out->parameters, &start, &last, rows)) return false;
-            fo_smooth(rows, length, out->covariance, smoothed);
-            return true;
-        }
         if (!smoothed_start(&own, &start, out->parameters, rows, smoothed, &at)) return false;
+        if (whole) return last_pass(&own, file, prior, at, jump, rows, smoothed, out);
         /* Twice as long, half of it on each side as far as the log goes. */
         const size_t wanted = 2 * length < record->rows ? 2 * length : record->rows;
         size_t begins = first > length / 2 ? first - length / 2 : 0;
@@ -242,6 +253,15 @@ static bool grow(const fo_log *record, const fo_file *file, const fo_prior *prio
     }
 }
 
+/* Whether the normalised innovations of no short stretch are several times as large as usual. */
+static bool is_followed(const fo_row *rows, size_t count)
+{
+    double recent = 1.0;
+    for (size_t k = SKIPPED; k < count; k++)
+        if (rows[k].measured && fo_is_lost(&rows[k], &recent)) return false;
+    return true;
+}
+
 fo_outcome fo_estimate(const fo_log *record, const fo_file *file, fo_posterior *posterior,
                        fo_smoothed *rows)
 {
@@ -251,15 +271,18 @@ fo_outcome fo_estimate(const fo_log *record, const fo_file *file, fo_posterior *
     fo_smoothed *other = malloc(record->rows * sizeof *other);
     fo_outcome outcome = FO_NO_MEMORY;
     if (kept && reversed && other) {
-        /* With and without jumps of the rotor; the same objective compares them. */
-        fo_posterior with;
-        const bool found = grow(record, file, &prior, kept, 0.0, rows, reversed, posterior);
-        const bool found_with = grow(record, file, &prior, kept, price, other, reversed, &with);
-        if (found_with && !(found && posterior->objective <= with.objective)) {
-            *posterior = with;
-            memcpy(rows, other, record->rows * sizeof *rows);
+        bool done = grow(record, file, &prior, kept, 0.0, rows, reversed, posterior);
+        if (!done || !is_followed(kept, record->rows)) {
+            /* The rotor jumps somewhere, or the filter lost it: the same objective tells. */
+            fo_posterior jumping;
+            const bool more = grow(record, file, &prior, kept, price, other, reversed, &jumping);
+            if (more && !(done && posterior->objective <= jumping.objective)) {
+                *posterior = jumping;
+                memcpy(rows, other, record->rows * sizeof *rows);
+            }
+            done = done || more;
         }
-        outcome = found || found_with ? FO_ESTIMATED : FO_NO_ESTIMATE;
+        outcome = done ? FO_ESTIMATED : FO_NO_ESTIMATE;
     }
     free(kept);
     free(reversed);

@@ -49,8 +49,10 @@ typedef struct {
     int count;
 } transition;
 
-/* Derivatives of the errors' means by the coefficients of the harmonics, with the gain held. */
-typedef double sensitivity[FO_STATES][2 * FO_ORDERS];
+/* Derivatives of the errors' means by the coefficients of the harmonics and by the first angle, with
+ * the gain held. */
+enum { COLUMNS = FO_UNKNOWNS - FO_L };
+typedef double sensitivity[FO_STATES][COLUMNS];
 
 #define FO_LIST(order) order,
 static const int orders[FO_ORDERS] = {FO_HARMONICS(FO_LIST)};
@@ -171,7 +173,8 @@ static fo_dual torque(fo_pair flux, fo_pair current)
     return fo_msub(fo_mul(flux.a, current.b), flux.b, current.a);
 }
 
-static void start_at(const fo_log *log, const model *m, const fo_start *start, state *x)
+static void start_at(const fo_log *log, const model *m, const fo_start *start, state *x,
+                     sensitivity by_held)
 {
     x->angle = fo_constant(start->angle);
     x->speed = fo_constant(start->speed);
@@ -196,6 +199,11 @@ static void start_at(const fo_log *log, const model *m, const fo_start *start, s
             x->P[r][c] = fo_constant(r == c && r < FO_NOISE_D ? stds[r] * stds[r] : 0.0);
     x->P[FO_NOISE_D][FO_NOISE_D] = x->P[FO_NOISE_Q][FO_NOISE_Q] =
         fo_mul(fo_mul(m->colour, m->colour), m->noise);
+    /* If the rotor turns and the current does not: ∂λ/∂θ = J λ − L J i. */
+    memset(by_held, 0, sizeof(sensitivity));
+    by_held[FO_ANGLE][FO_TURN - FO_L] = 1.0;
+    by_held[FO_FLUX_D][FO_TURN - FO_L] = m->L_d.d[0] * current.b.d[0] - flux.b.d[0];
+    by_held[FO_FLUX_Q][FO_TURN - FO_L] = flux.a.d[0] - m->L_q.d[0] * current.a.d[0];
 }
 
 /* Element (a, b) of H P Hᵀ, from P Hᵀ. */
@@ -275,9 +283,10 @@ static bool measure(const model *m, const double measured[2], state *x, update *
 }
 
 /* ∂i_dq/∂a of the coefficients: −L⁻¹ e^{jhθ}, in both components. */
-static void current_by_harmonics(const model *m, const prediction *p, double by[2][2 * FO_ORDERS])
+static void current_by_harmonics(const model *m, const prediction *p, double by[2][COLUMNS])
 {
     const double inverse_d = m->inverse_d.d[0], inverse_q = m->inverse_q.d[0];
+    by[0][FO_TURN - FO_L] = by[1][FO_TURN - FO_L] = 0.0;
     for (int n = 0; n < FO_ORDERS; n++) {
         const fo_pair unit = power(p, orders[n]);
         by[0][2 * n] = -inverse_d * unit.a.d[0];
@@ -292,14 +301,14 @@ static void current_by_harmonics(const model *m, const prediction *p, double by[
 static void error_derivatives(const model *m, const update *z, sensitivity x,
                               double by[2][FO_UNKNOWNS])
 {
-    double current[2][2 * FO_ORDERS];
+    double current[2][COLUMNS];
     current_by_harmonics(m, &z->at, current);
     for (int a = 0; a < 2; a++) {
         const double inverse = (a ? m->inverse_q : m->inverse_d).d[0];
         const double by_angle = z->at.by_angle[a].d[0];
         const double *flux = x[FO_FLUX_D + a], *noise = x[FO_NOISE_D + a], *angle = x[FO_ANGLE];
         for (int k = 0; k < FO_L; k++) by[a][k] = z->e[a].d[k + 1];
-        for (int k = 0; k < 2 * FO_ORDERS; k++)
+        for (int k = 0; k < COLUMNS; k++)
             by[a][FO_L + k] =
                 -current[a][k] - inverse * flux[k] - by_angle * angle[k] - noise[k];
     }
@@ -366,7 +375,6 @@ static void put_vector(transition *F, int row, int column, fo_pair x)
 static void move_sensitivity(const transition *F, const model *m, const prediction *p,
                              const fo_pair *turn, double h, double colour, sensitivity x)
 {
-    enum { COLUMNS = 2 * FO_ORDERS };
     double next[FO_STATES][COLUMNS] = {{0.0}}, current[2][COLUMNS];
     const double c = turn->a.d[0], s = turn->b.d[0];
     current_by_harmonics(m, p, current);
@@ -502,14 +510,14 @@ static void move_state(double h, const model *m, fo_pair voltage, state *x, tran
 
 /* Time update over an interval. */
 static void advance(double h, const model *m, fo_pair voltage, state *x, transition *F,
-                    sensitivity by_harmonics)
+                    sensitivity by_held)
 {
     prediction now;
     fo_pair turn;
     const double colour = x->measured ? m->colour.d[0] : 0.0;
     move_state(h, m, voltage, x, F, &now, &turn);
     move_covariance(F, x);
-    move_sensitivity(F, m, &now, &turn, h, colour, by_harmonics);
+    move_sensitivity(F, m, &now, &turn, h, colour, by_held);
     const double passed = fabs(h);
     for (int a = 0; a < 2; a++) {
         fo_dual *flux = &x->P[a][a], *drift = &x->P[FO_DRIFT_D + a][FO_DRIFT_D + a];
@@ -555,28 +563,41 @@ static void forget_all(state *x)
 enum { RECENT = 16 };
 static const double lost = 8.0; /* of the normalised innovations; 1 if all is right */
 
-static bool is_lost(const update *z, double *recent)
+static double square_of(const update *z)
 {
-    const double square = z->e[0].d[0] * z->w[0].d[0] + z->e[1].d[0] * z->w[1].d[0];
-    *recent += (0.5 * square - *recent) / RECENT;
+    return z->e[0].d[0] * z->w[0].d[0] + z->e[1].d[0] * z->w[1].d[0];
+}
+
+/* Of the running mean of the normalised squares. */
+static bool is_lost(double square, double *recent)
+{
+    *recent += (0.5 * square - *recent) / (double)RECENT;
     if (*recent < lost) return false;
     *recent = 1.0;
     return true;
 }
 
-static void start_again(const fo_start *start, state *x, sensitivity by_harmonics)
+bool fo_is_lost(const fo_row *row, double *recent)
+{
+    const double *e = row->error;
+    return is_lost(e[0] * (row->inverse[0][0] * e[0] + 2.0 * row->inverse[0][1] * e[1]) +
+                       e[1] * row->inverse[1][1] * e[1],
+                   recent);
+}
+
+static void start_again(const fo_start *start, state *x, sensitivity by_held)
 {
     const double stds[FO_GAIN] = {start->flux_std, start->flux_std, start->angle_std,
                                   start->speed_std, start->acceleration_std};
     forget_all(x); /* derivatives of a filter that is lost grow without bound */
-    memset(by_harmonics, 0, sizeof(sensitivity));
+    memset(by_held, 0, sizeof(sensitivity));
     for (int r = 0; r < FO_STATES; r++)
         for (int c = 0; c < FO_STATES; c++) forget(&x->P[r][c]);
     for (int k = 0; k < FO_GAIN; k++) x->P[k][k].d[0] += stds[k] * stds[k];
 }
 
 /* Keeps a row after its measurement update. */
-static void keep_row(const model *m, const state *x, const update *z, sensitivity by_harmonics,
+static void keep_row(const model *m, const state *x, const update *z, sensitivity by_held,
                      double error_by[2][FO_UNKNOWNS], fo_row *row)
 {
     memset(row, 0, sizeof *row);
@@ -586,8 +607,8 @@ static void keep_row(const model *m, const state *x, const update *z, sensitivit
     for (int r = 0; r < FO_STATES; r++)
         for (int c = 0; c < FO_STATES; c++) row->P[r][c] = x->P[r][c].d[0];
     for (int k = 0; k < FO_UNKNOWNS; k++) {
-        row->state_by[0][k] = k < FO_L ? x->angle.d[k + 1] : by_harmonics[FO_ANGLE][k - FO_L];
-        row->state_by[1][k] = k < FO_L ? x->speed.d[k + 1] : by_harmonics[FO_SPEED][k - FO_L];
+        row->state_by[0][k] = k < FO_L ? x->angle.d[k + 1] : by_held[FO_ANGLE][k - FO_L];
+        row->state_by[1][k] = k < FO_L ? x->speed.d[k + 1] : by_held[FO_SPEED][k - FO_L];
     }
     if (!x->measured) return;
     memcpy(row->error_by, error_by, sizeof row->error_by);
@@ -608,11 +629,10 @@ bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], con
     state x;
     update z;
     transition F;
-    sensitivity by_harmonics;
+    sensitivity by_held;
     double error_by[2][FO_UNKNOWNS], recent = 1.0, held[2] = {0.0, 0.0}, before[2];
     memset(out, 0, sizeof *out);
-    memset(by_harmonics, 0, sizeof by_harmonics);
-    start_at(log, &m, start, &x);
+    start_at(log, &m, start, &x, by_held);
     for (size_t k = 0; k < log->rows; k++) {
         const double *i = log->current + 2 * k, *u = log->voltage + 2 * k;
         const bool known = isfinite(u[0]) && isfinite(u[1]);
@@ -621,21 +641,21 @@ bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], con
         if (k == 0) memcpy(before, held, sizeof before);
         if (isfinite(i[0]) && isfinite(i[1])) {
             if (!measure(&m, i, &x, &z)) return false;
-            error_derivatives(&m, &z, by_harmonics, error_by);
+            error_derivatives(&m, &z, by_held, error_by);
             if (k >= start->skipped) count(&z, error_by, out);
-            if (start->price > 0.0 && is_lost(&z, &recent)) {
-                start_again(start, &x, by_harmonics);
+            if (start->price > 0.0 && is_lost(square_of(&z), &recent)) {
+                start_again(start, &x, by_held);
                 out->objective += start->price;
                 out->losses++;
             }
             for (int r = 0; r < FO_STATES; r++)
-                for (int j = 0; j < 2 * FO_ORDERS; j++)
-                    by_harmonics[r][j] += z.K[r][0].d[0] * error_by[0][FO_L + j] +
+                for (int j = 0; j < COLUMNS; j++)
+                    by_held[r][j] += z.K[r][0].d[0] * error_by[0][FO_L + j] +
                                           z.K[r][1].d[0] * error_by[1][FO_L + j];
         }
         if (!isfinite(x.angle.d[0])) return false;
-        if (kept) keep_row(&m, &x, &z, by_harmonics, error_by, kept + k);
-        advance(log->sample_time, &m, late(&m, held, before), &x, &F, by_harmonics);
+        if (kept) keep_row(&m, &x, &z, by_held, error_by, kept + k);
+        advance(log->sample_time, &m, late(&m, held, before), &x, &F, by_held);
         if (!known) { /* held, and as uncertain as it is large */
             const double h = log->sample_time;
             const double variance_of = h * h * (held[0] * held[0] + held[1] * held[1]);

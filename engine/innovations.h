@@ -80,6 +80,10 @@ typedef struct {
 bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], const fo_start *start,
                     fo_likelihood *out, fo_row *kept);
 
+/* Whether the filter has lost the rotor at a row: `recent` is the running mean of the normalised
+ * squares, 1 at first. */
+bool fo_is_lost(const fo_row *row, double *recent);
+
 #ifdef __cplusplus
 }
 #endif

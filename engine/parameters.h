@@ -28,7 +28,8 @@ enum { FO_PARAMETERS(FO_PARAMETER_INDEX) FO_L };
 #undef FO_PARAMETER_INDEX
 
 #define FO_COUNT(order) +1
-enum { FO_ORDERS = 0 FO_HARMONICS(FO_COUNT), FO_UNKNOWNS = FO_L + 2 * FO_ORDERS };
+/* The last unknown: the angle of the first row, with its current held [rad]. */
+enum { FO_ORDERS = 0 FO_HARMONICS(FO_COUNT), FO_TURN = FO_L + 2 * FO_ORDERS, FO_UNKNOWNS };
 #undef FO_COUNT
 
 #endif

@@ -8,6 +8,7 @@ enum { MOST = FO_UNKNOWNS, MACHINE = FO_L_psi_f + 1 };
 /* A share of machine files is that of another machine: their errors are `wider` times as large. */
 static const double other_machines = 0.05, wider = 5.0;
 /* Level of the harmonics: inverse gamma prior of `weight` coefficients at a tenth of the scale. */
+static const double any_angle = 1.8137993642342178; /* π/√3: the std of a uniform angle [rad] */
 static const double harmonics_weight = 2.0, harmonics_share = 0.1;
 
 typedef struct {
@@ -43,7 +44,7 @@ static penalty penalty_at(const fo_prior *prior, const double *p, double harmoni
         out.curvature[k] = 1.0 / (std * std);
     }
     if (!(prior->harmonics > 0.0)) return out;
-    for (int k = FO_L; k < FO_UNKNOWNS; k++) {
+    for (int k = FO_L; k < FO_TURN; k++) {
         const double d = p[k] / harmonics;
         out.value += 0.5 * d * d + log(harmonics);
         out.slope[k] = d / harmonics;
@@ -60,11 +61,12 @@ typedef struct {
     bool round;
 } selection;
 
-static selection selected(const fo_prior *prior, const bool *free)
+static selection selected(const fo_prior *prior, const bool *free, bool turn)
 {
     selection s = {0, {0}, prior->round};
     for (int k = 0; k < FO_UNKNOWNS; k++) {
-        const bool own = k >= FO_L ? prior->harmonics > 0.0
+        const bool own = k == FO_TURN ? turn
+                         : k >= FO_L  ? prior->harmonics > 0.0
                                    : prior->std[k] > 0.0 && (!free || free[k]) &&
                                          !(prior->round && k == FO_L_L_q);
         if (own) s.at[s.count++] = k;
@@ -141,7 +143,7 @@ static double longest(const fo_prior *prior, int k)
     case FO_L_lag: return 0.3;
     case FO_L_colour_pole:
     case FO_L_colour_gain: return 0.2;
-    default: return k < FO_L ? 0.7 : INFINITY; /* logarithms of levels: twofold */
+    default: return k < FO_L ? 0.7 : HUGE_VAL; /* logarithms of levels: twofold */
     }
 }
 
@@ -173,11 +175,21 @@ static bool invert(const selection *s, double H[MOST][MOST], double *covariance,
     return true;
 }
 
+bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out)
+{
+    const selection s = selected(prior, NULL, true);
+    double g[MOST], H[MOST][MOST], half_log;
+    penalty own = penalty_at(prior, out->parameters, out->harmonics);
+    own.curvature[FO_TURN] = 1.0 / (any_angle * any_angle);
+    reduced(&s, at, &own, g, H);
+    return invert(&s, H, out->covariance, &half_log);
+}
+
 /* Level at which the expected coefficients and the prior agree (ML-II, one step of EM). */
 static double level(const fo_prior *prior, const fo_posterior *at)
 {
     double sum = harmonics_weight * pow(harmonics_share * prior->harmonics, 2.0);
-    for (int k = FO_L; k < FO_UNKNOWNS; k++)
+    for (int k = FO_L; k < FO_TURN; k++)
         sum += at->parameters[k] * at->parameters[k] + at->covariance[k * FO_UNKNOWNS + k];
     return sqrt(sum / (2 * FO_ORDERS + harmonics_weight));
 }
@@ -185,10 +197,10 @@ static double level(const fo_prior *prior, const fo_posterior *at)
 bool fo_maximise(const fo_log *log, const fo_start *start, const fo_prior *prior, const bool *free,
                  double gain, size_t most, fo_posterior *out)
 {
-    const selection s = selected(prior, free);
+    const selection s = selected(prior, free, false);
     fo_likelihood at, next;
     double g[MOST], H[MOST][MOST], R[MOST][MOST], scale[MOST], step[MOST], half_log = 0.0;
-    double damping = 1e-3, gained = INFINITY;
+    double damping = 1e-3, gained = HUGE_VAL;
     out->evaluations = 1;
     out->converged = false;
     if (!fo_innovations(log, out->parameters, start, &at, NULL) || !isfinite(at.objective))

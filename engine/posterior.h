@@ -33,6 +33,10 @@ typedef struct {
 bool fo_maximise(const fo_log *log, const fo_start *start, const fo_prior *prior, const bool *free,
                  double gain, size_t most, fo_posterior *out);
 
+/* Covariance at the likelihood, with the first angle as an unknown of which nothing is known. False:
+ * the curvature is not positive. */
+bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out);
+
 #ifdef __cplusplus
 }
 #endif

@@ -20,12 +20,12 @@ ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
 from common import MEASURED  # noqa: E402
+from measured import LAYOUT, MACHINE, Q8  # noqa: E402
 from numbers_data import Numbers  # noqa: E402
 
 from engine.estimates import Estimate, File, degrees, estimate, file_of  # noqa: E402
 from engine.likelihood import Array, Complex  # noqa: E402
 from engine.loop import INTERIOR, SURFACE, Conditions, simulated  # noqa: E402
-from measured import LAYOUT, MACHINE, Q8  # noqa: E402
 
 RATED = 12.0
 #: Name and conditions of the closed loops; files are 15 to 20 % wrong.

@@ -8,11 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.likelihood import INDEX, N, UNKNOWNS, Array, Complex, Row, library, log_of, pointer
+from engine.likelihood import INDEX, UNKNOWNS, Array, Complex, N, Row, library, log_of, pointer
 
-OUTCOMES = ("estimated", "no estimate", "no memory")
+NO_ESTIMATE = 1
 #: Relative standard deviations of a machine file: resistance, inductances, magnet flux.
 TOLERANCES = (0.3, 0.15, 0.15)
+
+
+class NoEstimate(Exception):
+    """The likelihood cannot be evaluated at any start."""
 
 
 class File(ctypes.Structure):
@@ -76,14 +80,15 @@ def file_of(
 
 
 def estimate(voltage: Complex, current: Complex, sample_time: float, file: File) -> Estimate:
-    """Estimate a log; ValueError with the outcome if there is no estimate."""
+    """Estimate a log; NoEstimate if it contradicts every start."""
     rows, out = np.zeros(len(current), SMOOTHED), _Posterior()
     with log_of(voltage, current, sample_time) as log:
         outcome = library().fo_estimate(
             ctypes.byref(log), ctypes.byref(file), ctypes.byref(out), pointer(rows)
         )
-    if outcome:
-        raise ValueError(OUTCOMES[outcome])
+    if outcome == NO_ESTIMATE:
+        raise NoEstimate
+    assert outcome == 0, "no memory"
     return Estimate(
         rows,
         np.array(out.parameters),
@@ -115,4 +120,4 @@ def degrees(angle: Array, true: Array) -> Array:
     return np.degrees(np.angle(np.exp(1j * (angle - true))))
 
 
-__all__ = ["N", "Estimate", "File", "degrees", "estimate", "file_of", "smoothed"]
+__all__ = ["Estimate", "File", "N", "degrees", "estimate", "file_of", "smoothed"]

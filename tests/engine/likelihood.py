@@ -27,7 +27,8 @@ N = len(NAMES)
 INDEX = {name: k for k, name in enumerate(NAMES)}
 #: Orders of the harmonics of the flux; each has two coefficients after the parameters.
 ORDERS = tuple(map(int, re.findall(r"ORDER\((-?\d+)\)", HEADER)))
-UNKNOWNS = N + 2 * len(ORDERS)
+#: The last unknown is the first angle.
+UNKNOWNS = N + 2 * len(ORDERS) + 1
 STATES = 10
 NUMBERS = ctypes.POINTER(ctypes.c_double)
 

@@ -1,7 +1,7 @@
 """Synchronous machines under a current controller.
 
-The acceleration is a random walk, as the likelihood assumes. The controller takes its angle from its
-own flux observer, or from an encoder, which puts its knowledge of the rotor into the voltages.
+The acceleration is a random walk, as the likelihood assumes. The controller takes its angle from
+its own flux observer, or from an encoder, which puts its knowledge of the rotor into the voltages.
 """
 
 from __future__ import annotations

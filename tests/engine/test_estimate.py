@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
@@ -9,23 +10,25 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from engine.estimates import Estimate, degrees, estimate, file_of, smoothed
-from engine.likelihood import INDEX, STATES, UNKNOWNS, Array, likelihood
+from engine.estimates import Estimate, NoEstimate, degrees, estimate, file_of, smoothed
+from engine.likelihood import INDEX, STATES, UNKNOWNS, Array, Complex, likelihood
 from engine.loop import INTERIOR, SURFACE, Conditions, Record, simulated
 from engine.scores import parameters_of, starts
 
 H = 1e-4
 #: Index of the angle among the states.
 ANGLE = 2
+#: Of the likelihood, for a log that is one part: two stages of sixty.
+MOST_EVALUATIONS = 120
 #: Drives of a kind. The mean of (error/σ)² over them scatters by about √(2/12) in each drive.
-DRIVES = 6
+DRIVES = 4
 KINDS = {"surface": SURFACE, "interior": INTERIOR}
 
 
 @cache
 def estimated(kind: str) -> tuple[Conditions, Record, list[Estimate]]:
     """Simulate drives, and estimate them with a file that is 10 to 20 % wrong."""
-    c = replace(KINDS[kind], duration=0.5)
+    c = replace(KINDS[kind], duration=0.3)
     record = simulated(c, DRIVES, seed=3)
     file = file_of(1.15 * c.R, 0.85 * c.L_d, 0.85 * c.L_q, 1.1 * c.psi, 12.0)
     done = [estimate(record.voltage[:, k], record.current[:, k], H, file) for k in range(DRIVES)]
@@ -118,16 +121,19 @@ def test_parameters_widen_the_band():
     assert added == pytest.approx(np.abs(above - below) / 2e-4, rel=0.2, abs=0.02)
 
 
+def attempt(u: Complex, i: Complex) -> Estimate | None:
+    """Estimate; None if there is none. Other outcomes are errors."""
+    with suppress(NoEstimate):
+        return estimate(u, i, H, file_of(0.36, 6e-4, 6e-4, 0.0125, 12.0))
+    return None
+
+
 @pytest.mark.parametrize("rows", [1, 2, 9, 50])
 def test_few_rows_are_an_answer_or_a_reason(rows):
     record = simulated(replace(SURFACE, duration=0.02), 1)
     u, i = record.voltage[:rows, 0], record.current[:rows, 0]
-    try:
-        got = estimate(u, i, H, file_of(0.36, 6e-4, 6e-4, 0.0125, 12.0))
-    except ValueError as reason:
-        assert str(reason) == "no estimate"
-    else:
-        assert np.isfinite(got.rows["angle"]).all()
+    got = attempt(u, i)
+    assert got is None or np.isfinite(got.rows["angle"]).all()
 
 
 @pytest.mark.parametrize("kind", ["flat", "missing", "noise", "huge"])
@@ -141,13 +147,17 @@ def test_a_log_without_a_motor_ends(kind):
         u, i = (rng.standard_normal((300, 2)) @ [1, 1j] for _ in range(2))
     elif kind == "huge":
         u = u * 1e12
-    try:
-        got = estimate(u, i, H, file_of(0.36, 6e-4, 6e-4, 0.0125, 12.0))
-    except ValueError as reason:
-        assert str(reason) == "no estimate"
-    else:
-        assert got.evaluations <= 130
-        assert np.isfinite(got.rows["angle_std"]).all()
+    got = attempt(u, i)
+    assert got is None or got.evaluations <= MOST_EVALUATIONS
+    assert got is None or np.isfinite(got.rows["angle_std"]).all()
+
+
+@pytest.mark.parametrize(("current", "least"), [(0.0, 1.8), (1.0, 0.5)])
+def test_a_log_at_rest_knows_nothing_of_the_angle(current, least):
+    """That a rotor stays where it is although there is a current tells little [rad]."""
+    got = attempt(np.full(400, 0.36 * current + 0j), np.full(400, current + 0j))
+    assert got is not None
+    assert (got.rows["angle_std"] > least).all()
 
 
 def test_the_same_log_gives_the_same_bits():
