@@ -1,5 +1,6 @@
 """The program as a whole: version, help, option names, exit codes, typed use from Python."""
 
+import os
 import subprocess
 import sys
 import time
@@ -116,6 +117,48 @@ def test_exit_codes_of_the_process(tmp_path):
     usage = process("check", folder=tmp_path)
     assert usage.returncode == 2
     assert "Missing argument" in usage.stderr
+
+
+MACHINE = ("--machine", "servo-400w")
+#: Commands with a file that they read or write, at NAME.
+FILES = {
+    "estimate": ("estimate", "NAME", *MACHINE),
+    "estimate --machine": ("estimate", LOG, "--machine", "NAME"),
+    "estimate --out": ("estimate", LOG, *MACHINE, "--out", "NAME"),
+    "check": ("check", "NAME", *MACHINE),
+    "channels": ("channels", "NAME"),
+    "identify": ("identify", "NAME", *MACHINE),
+    "compare": ("compare", "NAME", "servo-400w"),
+    "fleet": ("fleet", "NAME"),
+    "live": ("live", "NAME", *MACHINE),
+    "campaign": ("campaign", "NAME"),
+    "plan-test": ("plan-test", "NAME"),
+    "machine plan": ("machine", "plan", "NAME"),
+}
+
+
+@pytest.mark.parametrize("command", FILES)
+def test_a_name_that_is_too_long_is_an_error_of_the_user(command, tmp_path):
+    """Exit code 2 and a sentence; 1 would mean that `check` found a mistake."""
+    name = 300 * "a" + ".csv"
+    done = fluxobs(*(name if x == "NAME" else x for x in FILES[command]), folder=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("Error: ")
+    assert "file name too long" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read all")
+@pytest.mark.parametrize("command", ["estimate", "check", "channels", "fleet", "campaign"])
+def test_a_folder_without_rights_is_an_error_of_the_user(command, tmp_path):
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0)
+    name = closed / "log.csv"
+    done = fluxobs(*(name if x == "NAME" else x for x in FILES[command]), folder=tmp_path)
+    closed.chmod(0o700)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"Error: {name}")
+    assert done.stderr.endswith(": permission denied\n")
 
 
 def test_the_library_is_imported_quickly():

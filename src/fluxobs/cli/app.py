@@ -6,6 +6,7 @@ To start quickly, each command imports what it needs only when it runs.
 from __future__ import annotations
 
 import ctypes
+import os
 import signal
 import sys
 from collections.abc import Iterable
@@ -143,6 +144,11 @@ def main() -> None:
         raise
     except FluxobsError as error:
         echo(f"Error: {error}", err=True)
+        raise SystemExit(2) from None
+    except OSError as error:
+        if error.filename is None or error.strerror is None:  # not a file that the user named
+            raise
+        echo(f"Error: {os.fsdecode(error.filename)}: {error.strerror.lower()}", err=True)
         raise SystemExit(2) from None
     finally:
         name_flags(before)
