@@ -197,6 +197,14 @@ def test_a_missing_log_is_a_failed_row(tmp_path):
     assert set(row) == set(COLUMNS)
 
 
+def test_a_name_that_is_too_long_is_a_failed_row(logs, tmp_path, in_process):
+    good, long = logs / "a" / "run_2024-05-01.csv", 300 * "a" + ".csv"
+    table = estimate_many([good, long], "servo-400w", tmp_path / "out").table
+    failed = dict(zip(table["log"].str.tail(8), table["failed"], strict=True))
+    assert failed.pop("aaaa.csv").endswith("aaaa.csv: file name too long")
+    assert list(failed.values()) == [None]
+
+
 def test_a_full_disk_is_a_failed_row(logs, tmp_path):
     program = (
         "import resource, signal, sys, json\n"

@@ -123,6 +123,8 @@ class LogTask:
             key = key_of(content, self.settings, machine)
         except FluxobsError as error:
             row["failed"] = str(error)
+        except OSError as error:
+            row["failed"] = f"{source}: {(error.strerror or str(error)).lower()}"
         except MemoryError:
             row["failed"] = f"{source}: out of memory; use fewer workers"
         except Exception as error:  # one log must not stop the other logs

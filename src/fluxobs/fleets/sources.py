@@ -183,7 +183,11 @@ def _is_there(path: Path) -> bool:
 
 def _list_local(log: str) -> list[str]:
     path = Path(os.path.normpath(Path(log).absolute()))
-    if path.is_dir():
+    try:
+        is_folder, is_there = path.is_dir(), path.exists()
+    except OSError:  # no rights, or a name that is too long: its row states the reason
+        return [path.as_posix()]
+    if is_folder:
         entries = (entry for entry in path.rglob("*") if _is_there(entry) and _is_log(entry.name))
         # A folder of results holds tables, not logs.
         return [
@@ -191,7 +195,7 @@ def _list_local(log: str) -> list[str]:
             for entry in entries
             if not any((parent / "fleet.json").exists() for parent in entry.parents)
         ]
-    if path.exists() or not glob.has_magic(log):
+    if is_there or not glob.has_magic(log):
         return [path.as_posix()]  # a missing file gets a row with the reason
     matches = (Path(entry) for entry in glob.glob(str(path), recursive=True))
     return [entry.as_posix() for entry in matches if entry.is_file()]
