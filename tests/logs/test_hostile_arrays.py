@@ -33,6 +33,23 @@ def hdf5(request, tmp_path):
     return tmp_path / request.param
 
 
+@pytest.mark.parametrize(
+    ("nodes", "reason"), [("deep", "nested more than 32 deep"), ("many", "more than 10000 groups")]
+)
+def test_groups_without_end_are_refused(nodes, reason, tmp_path):
+    """Their listing would take a time that grows faster than the file."""
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        if nodes == "deep":
+            file.create_group("/".join(40 * "g"))
+        else:
+            for number in range(10_001):
+                file.create_group(str(number))
+    with pytest.raises(FluxobsError, match=reason):
+        read_log(path)
+
+
 def test_a_dataset_in_another_file(hdf5, tmp_path):
     import h5py
 

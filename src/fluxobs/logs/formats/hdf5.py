@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,9 @@ _REFERENCES = "#refs#"
 _SUBSYSTEM, _CLASS = "#subsystem#", "MATLAB_class"
 #: Classes whose variables are objects.
 _OBJECTS = ("timeseries", "timetable", "table", "tscollection", "Simulink.SimulationOutput")
+#: Groups and data sets of a log, and depth to which they are nested. The library takes a third of a
+#: millisecond for a node, and a time that grows with the square of the depth.
+_MOST_NODES, _DEEPEST = 10_000, 32
 #: Code of deflate, and codes of filters that do not compress beyond the content of the data:
 #: shuffle, checksum, n bits.
 _DEFLATE, _PLAIN = 1, (2, 3, 5, 6)
@@ -83,11 +87,21 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
         raise RecordError(f"{path}: not a readable HDF5 file: {error}") from None
     contents = Contents()
     objects: dict[str, str] = {}
-    limit = most_unpacked(path)
+    limit, count = most_unpacked(path), itertools.count(1)
 
     def visit(name: str | bytes, node: Any) -> None:
         if isinstance(name, bytes):  # not UTF-8
             name = name.decode("utf-8", errors="replace")
+        if next(count) > _MOST_NODES:
+            raise RecordError(
+                f"{path}: more than {_MOST_NODES} groups and data sets; save the signals of the "
+                f"log in a file of their own"
+            )
+        if name.count("/") >= _DEEPEST:
+            raise RecordError(
+                f"{path}: groups are nested more than {_DEEPEST} deep; save the signals of the log "
+                f"in a file of their own"
+            )
         if name.startswith((_REFERENCES, _SUBSYSTEM)):
             return
         kind = node.attrs.get(_CLASS, b"")
