@@ -89,6 +89,8 @@ def test_a_current_in_few_rows_is_not_zero():
     [
         (0, 1, "log: the current is zero in every row"),
         (1, 0, "log: the voltage is zero in every row"),
+        (1e300, 1, "log: the current is 1e\\+300 A: more than any drive or counter has"),
+        (1, 1e13, "log: the voltage is 1e\\+13 V: more than any drive or counter has"),
         (np.nan, 1, "log: no row has a current"),
         (1, np.nan, "log: no row has a voltage"),
     ],

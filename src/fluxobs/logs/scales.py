@@ -67,13 +67,20 @@ def excerpts(log: Log) -> Iterator[Aligned]:
         row += len(batch.t)
 
 
+#: Largest current or voltage: raw values of a counter with 32 bits are smaller, and its fourth
+#: power is a number.
+MOST = 1e12
+UNITS = {"current": "A", "voltage": "V"}
+
+
 def measure_scales(log: Log) -> Scales:
     """Return the scales of a log.
 
     Raises
     ------
     RecordError
-        The log has no finite current or voltage, or the current or voltage is always zero.
+        The log has no finite current or voltage, or the current or voltage is always zero, or
+        larger than any drive's.
     """
     return scales_of(excerpts(log), log.sample_time, log.path)
 
@@ -97,6 +104,12 @@ def scales_of(pieces: Iterable[Aligned], sample_time: float, path: Path) -> Scal
         if not values.any():
             raise RecordError(
                 f"{path}: the {quantity} is zero in every row; are column and scale right?"
+            )
+        size = np.percentile(values, 95)
+        if size > MOST:
+            raise RecordError(
+                f"{path}: the {quantity} is {size:.3g} {UNITS[quantity]}: more than any drive or "
+                f"counter has; are column and scale right?"
             )
     current, voltage = float(np.percentile(i, 95)) or float(i.max()), float(np.percentile(u, 95))
     # Faulty rows and commutations would count as noise.
