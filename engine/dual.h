@@ -2,7 +2,7 @@
  *
  * The score of a likelihood must be the exact derivative of the likelihood that the code computes,
  * covariances included. With these numbers the recursion is written once. d[0] is the value,
- * d[1 + k] the derivative by parameter k. FO_WIDTH 1 leaves the value alone. */
+ * d[1 + k] the derivative by parameter k. */
 #ifndef FLUXOBS_DUAL_H
 #define FLUXOBS_DUAL_H
 
@@ -10,9 +10,7 @@
 
 #include "parameters.h"
 
-#ifndef FO_WIDTH
-#define FO_WIDTH ((1 + FO_L + 3) / 4 * 4) /* a multiple of what a vector register holds */
-#endif
+enum { FO_WIDTH = (1 + FO_L + 3) / 4 * 4 }; /* a multiple of what a vector register holds */
 
 typedef struct {
     double d[FO_WIDTH];
@@ -36,7 +34,7 @@ static inline fo_dual fo_constant(double value)
 static inline fo_dual fo_unknown(double value, int index)
 {
     fo_dual r = {{value}};
-    if (index + 1 < FO_WIDTH) r.d[index + 1] = 1.0;
+    r.d[index + 1] = 1.0;
     return r;
 }
 
@@ -51,40 +49,6 @@ static inline fo_dual fo_sub(fo_dual a, fo_dual b)
 {
     fo_dual r;
     for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] - b.d[k];
-    return r;
-}
-
-static inline fo_dual fo_mul(fo_dual a, fo_dual b)
-{
-    fo_dual r;
-    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] * b.d[0] + a.d[0] * b.d[k];
-    r.d[0] = a.d[0] * b.d[0];
-    return r;
-}
-
-/* a + s b */
-static inline fo_dual fo_axpy(fo_dual a, double s, fo_dual b)
-{
-    fo_dual r;
-    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] + s * b.d[k];
-    return r;
-}
-
-/* a + b c */
-static inline fo_dual fo_mac(fo_dual a, fo_dual b, fo_dual c)
-{
-    fo_dual r;
-    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] + (b.d[k] * c.d[0] + b.d[0] * c.d[k]);
-    r.d[0] = a.d[0] + b.d[0] * c.d[0];
-    return r;
-}
-
-/* a − b c */
-static inline fo_dual fo_msub(fo_dual a, fo_dual b, fo_dual c)
-{
-    fo_dual r;
-    for (int k = 0; k < FO_WIDTH; k++) r.d[k] = a.d[k] - (b.d[k] * c.d[0] + b.d[0] * c.d[k]);
-    r.d[0] = a.d[0] - b.d[0] * c.d[0];
     return r;
 }
 
@@ -119,6 +83,34 @@ static inline void fo_reduce(fo_dual *restrict r, const fo_dual *restrict b,
     const double x = b->d[0], y = c->d[0], value = r->d[0] - x * y;
     for (int k = 0; k < FO_WIDTH; k++) r->d[k] -= b->d[k] * y + x * c->d[k];
     r->d[0] = value;
+}
+
+static inline fo_dual fo_mul(fo_dual a, fo_dual b)
+{
+    fo_dual r;
+    fo_product(&r, &a, &b);
+    return r;
+}
+
+/* a + s b */
+static inline fo_dual fo_axpy(fo_dual a, double s, fo_dual b)
+{
+    fo_accumulate_scaled(&a, s, &b);
+    return a;
+}
+
+/* a + b c */
+static inline fo_dual fo_mac(fo_dual a, fo_dual b, fo_dual c)
+{
+    fo_accumulate(&a, &b, &c);
+    return a;
+}
+
+/* a − b c */
+static inline fo_dual fo_msub(fo_dual a, fo_dual b, fo_dual c)
+{
+    fo_reduce(&a, &b, &c);
+    return a;
 }
 
 static inline fo_dual fo_scale(double s, fo_dual a)

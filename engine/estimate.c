@@ -14,9 +14,11 @@ enum {
     EVALUATIONS = 60, /* of a stage, at most */
     BRIEF = 12        /* of a stage of growth */
 };
-static const double quarter_turn = 1.5707963267948966; /* [rad]: the speed is constant in it */
-static const double price = 9.2; /* half squares: the rotor jumps once in ten thousand rows */
-static const double coarse = 1.0, fine = 0.02; /* half squares: a stage ends with such a gain */
+static const double quarter_turn = 1.5707963267948966; /* [rad]: shorter, and offsets count */
+static const double price = 9.2; /* half squares, ln 10⁴: a jump in ten thousand rows is assumed */
+/* Half squares: a step that gains less ends a stage. A parameter that is d standard deviations off
+ * costs d²/2, so it remains within 1.4 and 0.2 of them. */
+static const double coarse = 1.0, fine = 0.02;
 
 /* Root mean square of the voltages of a part. */
 static double mean_voltage(const fo_log *record, size_t first, size_t rows)

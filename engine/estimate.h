@@ -22,7 +22,7 @@ typedef struct {
     double lag, lag_std; /* that the voltages act later than the log says [samples] */
 } fo_file;
 
-/* Priors of an ordinary drive: levels relative to the log's mean voltage and the rated current. */
+/* Priors of an ordinary drive. The levels scale with the log's mean voltage and the rated current. */
 fo_prior fo_ordinary_prior(const fo_log *log, const fo_file *file);
 
 /* Estimates: the fastest part of the log first, from the direction of its voltages; then parts that

@@ -561,7 +561,8 @@ static void forget_all(state *x)
  * its covariance is that of a start again: it finds the rotor, and rows before and after a jump do
  * not spoil each other. */
 enum { RECENT = 16 };
-static const double lost = 8.0; /* of the normalised innovations; 1 if all is right */
+/* Mean of the last normalised squares. If all is right it is 1 with a standard deviation of 0.2. */
+static const double lost = 8.0;
 
 static double square_of(const update *z)
 {
@@ -651,7 +652,7 @@ bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], con
             for (int r = 0; r < FO_STATES; r++)
                 for (int j = 0; j < COLUMNS; j++)
                     by_held[r][j] += z.K[r][0].d[0] * error_by[0][FO_L + j] +
-                                          z.K[r][1].d[0] * error_by[1][FO_L + j];
+                                     z.K[r][1].d[0] * error_by[1][FO_L + j];
         }
         if (!isfinite(x.angle.d[0])) return false;
         if (kept) keep_row(&m, &x, &z, by_held, error_by, kept + k);

@@ -75,7 +75,8 @@ typedef struct {
     bool measured;
 } fo_row;
 
-/* `parameters`: FO_L, then two coefficients of each harmonic [Wb]. `kept`, rows elements, or null.
+/* `parameters`: FO_L, then two coefficients of each harmonic [Wb]; the last unknown is that of
+ * `start`, and the derivatives are by its change. `kept`: an element for each row, or null.
  * False: a number is not finite, or a covariance is not positive. */
 bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], const fo_start *start,
                     fo_likelihood *out, fo_row *kept);

@@ -5,10 +5,12 @@
 
 enum { MOST = FO_UNKNOWNS, MACHINE = FO_L_psi_f + 1 };
 
-/* A share of machine files is that of another machine: their errors are `wider` times as large. */
+/* Assumed: one machine file in twenty describes another machine, and its errors are five times as
+ * large. */
 static const double other_machines = 0.05, wider = 5.0;
-/* Level of the harmonics: inverse gamma prior of `weight` coefficients at a tenth of the scale. */
 static const double any_angle = 1.8137993642342178; /* π/√3: the std of a uniform angle [rad] */
+/* The level of the harmonics has an inverse gamma prior. It counts like two coefficients, each a
+ * tenth of the scale. */
 static const double harmonics_weight = 2.0, harmonics_share = 0.1;
 
 typedef struct {
@@ -55,7 +57,7 @@ static penalty penalty_at(const fo_prior *prior, const double *p, double harmoni
     return out;
 }
 
-/* The free parameters: `at` are their indices. With one inductance, L_q moves with L_d. */
+/* Indices of the free parameters. If the machine has one inductance, L_q moves with L_d. */
 typedef struct {
     int count, at[MOST];
     bool round;
@@ -147,8 +149,8 @@ static double longest(const fo_prior *prior, int k)
     }
 }
 
-/* Covariance of all parameters, and ½ ln det of the curvature of the free. */
-static bool invert(const selection *s, double H[MOST][MOST], double *covariance, double *half_log)
+/* Covariance of all parameters, from the curvature of the free ones. */
+static bool invert(const selection *s, double H[MOST][MOST], double *covariance)
 {
     double R[MOST][MOST], scale[MOST], unit[MOST] = {0.0}, column[MOST];
     memset(covariance, 0, sizeof(double) * FO_UNKNOWNS * FO_UNKNOWNS);
@@ -157,9 +159,7 @@ static bool invert(const selection *s, double H[MOST][MOST], double *covariance,
         ridge = ridge > 0.0 ? 100.0 * ridge : 1e-12;
         if (ridge > 1e-3) return false;
     }
-    *half_log = 0.0;
     for (int c = 0; c < s->count; c++) {
-        *half_log += log(R[c][c]) - log(scale[c]);
         unit[c] = 1.0;
         solve(s->count, R, scale, unit, column);
         unit[c] = 0.0;
@@ -178,11 +178,11 @@ static bool invert(const selection *s, double H[MOST][MOST], double *covariance,
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out)
 {
     const selection s = selected(prior, NULL, true);
-    double g[MOST], H[MOST][MOST], half_log;
+    double g[MOST], H[MOST][MOST];
     penalty own = penalty_at(prior, out->parameters, out->harmonics);
     own.curvature[FO_TURN] = 1.0 / (any_angle * any_angle);
     reduced(&s, at, &own, g, H);
-    return invert(&s, H, out->covariance, &half_log);
+    return invert(&s, H, out->covariance);
 }
 
 /* Level at which the expected coefficients and the prior agree (ML-II, one step of EM). */
@@ -199,7 +199,7 @@ bool fo_maximise(const fo_log *log, const fo_start *start, const fo_prior *prior
 {
     const selection s = selected(prior, free, false);
     fo_likelihood at, next;
-    double g[MOST], H[MOST][MOST], R[MOST][MOST], scale[MOST], step[MOST], half_log = 0.0;
+    double g[MOST], H[MOST][MOST], R[MOST][MOST], scale[MOST], step[MOST];
     double damping = 1e-3, gained = HUGE_VAL;
     out->evaluations = 1;
     out->converged = false;
@@ -210,7 +210,7 @@ bool fo_maximise(const fo_log *log, const fo_start *start, const fo_prior *prior
         out->objective = at.objective + own.value;
         out->mean_square = at.mean_square;
         reduced(&s, &at, &own, g, H);
-        if (!invert(&s, H, out->covariance, &half_log)) return false;
+        if (!invert(&s, H, out->covariance)) return false;
         /* The level moves once the first steps have removed what is not harmonic. */
         if (prior->harmonics > 0.0 && n >= 3 && gained >= gain) {
             out->harmonics = level(prior, out);
@@ -246,6 +246,5 @@ bool fo_maximise(const fo_log *log, const fo_start *start, const fo_prior *prior
             break;
         }
     }
-    out->evidence = out->objective + half_log;
     return true;
 }

@@ -21,7 +21,6 @@ typedef struct {
     double covariance[FO_UNKNOWNS * FO_UNKNOWNS];
     double harmonics;   /* level of the harmonics [Wb] */
     double objective;   /* −ln of likelihood and prior, without constant */
-    double evidence;    /* the same with the parameters integrated out (Laplace) */
     double mean_square; /* of the normalised innovations */
     size_t evaluations; /* of the likelihood */
     bool converged;     /* false: the bound on evaluations ended it */

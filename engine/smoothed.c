@@ -7,9 +7,9 @@ enum { ANGLE_AND_SPEED = 2 };
 
 static const int own[ANGLE_AND_SPEED] = {FO_ANGLE, FO_SPEED};
 
-/* Bryson–Frazier form: with the adjoint λ of the later innovations and its covariance Λ,
- * x_s = x − P λ and P_s = P − P Λ P. No covariance is inverted, so a state without process noise
- * does no harm. λ carries its derivatives by the parameters, with the gain held. */
+/* Bryson–Frazier form: x_s = x − P λ and P_s = P − P Λ P. The adjoint λ sums up the later
+ * innovations; Λ is its covariance. No covariance is inverted, so a state may have no process noise.
+ * λ carries its derivatives by the parameters, with the gain held. */
 typedef struct {
     double lambda[FO_STATES], Lambda[FO_STATES][FO_STATES];
     double by[FO_STATES][FO_UNKNOWNS];

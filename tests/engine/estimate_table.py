@@ -11,6 +11,7 @@ import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +24,12 @@ from common import MEASURED  # noqa: E402
 from measured import LAYOUT, MACHINE, Q8  # noqa: E402
 from numbers_data import Numbers  # noqa: E402
 
-from engine.estimates import Estimate, File, degrees, estimate, file_of  # noqa: E402
-from engine.likelihood import Array, Complex  # noqa: E402
+from engine.estimates import Estimate, degrees, estimate, file_of  # noqa: E402
+from engine.likelihood import Array  # noqa: E402
 from engine.loop import INTERIOR, SURFACE, Conditions, simulated  # noqa: E402
 
 RATED = 12.0
-#: Name and conditions of the closed loops; files are 15 to 20 % wrong.
+#: Name and conditions of the closed loops; files are 10 to 20 % wrong.
 LOOPS = {
     "surface": SURFACE,
     "interior": INTERIOR,
@@ -47,20 +48,17 @@ WHOLE = (0, 4000)
 PARTS = [[(k, k + n) for k in range(0, 4000, n)] for n in (2000, 1000)]
 
 
-def _estimated(job: tuple[Complex, Complex, float, File]) -> Estimate:
-    return estimate(*job[:3], job[3])
-
-
 def squares(c: Conditions, drives: int) -> list[dict[str, float]]:
     """Return (error/σ)² of each drive, and the error of L_q in percent."""
     record = simulated(c, drives, seed=11)
     lag = (1.0, 0.3) if c.lag else (0.0, 0.3)
     file = file_of(1.15 * c.R, 0.8 * c.L_d, 0.8 * c.L_q, 1.1 * c.psi, RATED, lag=lag)
-    jobs = [(record.voltage[:, k], record.current[:, k], 1e-4, file) for k in range(drives)]
     true = {"R": c.R, "L_d": c.L_d, "L_q": c.L_q, "psi_f": c.psi}
     names = {"R": "resistance"}
     with ProcessPoolExecutor() as pool:
-        done = list(pool.map(_estimated, jobs))
+        done = list(
+            pool.map(estimate, record.voltage.T, record.current.T, repeat(1e-4), repeat(file))
+        )
     rows = []
     for k, e in enumerate(done):
         error = degrees(e.rows["angle"], record.angle[:, k])

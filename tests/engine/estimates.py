@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from engine.likelihood import INDEX, UNKNOWNS, Array, Complex, N, Row, library, log_of, pointer
+from fluxobs.machines.model.frames import wrap
 
 NO_ESTIMATE = 1
 #: Relative standard deviations of a machine file: resistance, inductances, magnet flux.
@@ -35,8 +36,7 @@ class _Posterior(ctypes.Structure):
     _fields_ = (
         ("parameters", ctypes.c_double * UNKNOWNS),
         ("covariance", ctypes.c_double * UNKNOWNS**2),
-        *((name, ctypes.c_double) for name in ("harmonics", "objective", "evidence")),
-        ("mean_square", ctypes.c_double),
+        *((name, ctypes.c_double) for name in ("harmonics", "objective", "mean_square")),
         ("evaluations", ctypes.c_size_t),
         ("converged", ctypes.c_bool),
     )
@@ -117,7 +117,7 @@ def smoothed(rows: NDArray[np.void], covariance: Array | None = None) -> NDArray
 
 def degrees(angle: Array, true: Array) -> Array:
     """Return the error of an angle [°]."""
-    return np.degrees(np.angle(np.exp(1j * (angle - true))))
+    return np.degrees(wrap(angle - true))
 
 
 __all__ = ["Estimate", "File", "N", "degrees", "estimate", "file_of", "smoothed"]

@@ -122,7 +122,7 @@ def test_parameters_widen_the_band():
 
 
 def attempt(u: Complex, i: Complex) -> Estimate | None:
-    """Estimate; None if there is none. Other outcomes are errors."""
+    """Return the estimate, or None if the log contradicts every start."""
     with suppress(NoEstimate):
         return estimate(u, i, H, file_of(0.36, 6e-4, 6e-4, 0.0125, 12.0))
     return None

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from engine.estimates import degrees
 from engine.likelihood import NAMES, ORDERS, UNKNOWNS, N, Start, likelihood
 from engine.loop import INTERIOR, SURFACE, Conditions, simulated
 from engine.score_table import ERRORS, with_error
@@ -96,8 +97,8 @@ def test_missing_rows_leave_the_angle_right():
     u[[0, 500, 900]], i[[300, 301, 302, 700]] = np.nan, np.nan
     start = Start(float(record.angle[0, 0]), 0.1, 250.0, 10.0, 0.0, 4e-4, 0.05, 0.0, 100)
     got = likelihood(u, i, 1e-4, parameters_of(SURFACE), start)
-    error = np.angle(np.exp(1j * (got.rows["angle"] - record.angle[:, 0])))
-    assert np.abs(np.degrees(error[200:])).max() < 1.0
+    error = degrees(got.rows["angle"], record.angle[:, 0])
+    assert np.abs(error[200:]).max() < 1.0
     assert not got.rows["measured"][[300, 301, 302, 700]].any()
 
 
@@ -128,6 +129,6 @@ def test_a_rotor_that_jumps_is_found_again():
         for price in (0.0, 9.2)
     )
     assert found.losses > 0 == lost.losses
-    error = np.angle(np.exp(1j * (found.rows["angle"] - angle)))
-    assert np.abs(np.degrees(error[1400:])).max() < 2.0
+    error = degrees(found.rows["angle"], angle)
+    assert np.abs(error[1400:]).max() < 2.0
     assert found.objective < lost.objective

@@ -146,7 +146,7 @@ def main() -> None:
         echo(f"Error: {error}", err=True)
         raise SystemExit(2) from None
     except OSError as error:
-        if error.filename is None or error.strerror is None:  # not a file that the user named
+        if error.strerror is None or isinstance(error.filename, int | None):  # no file has a name
             raise
         echo(f"Error: {os.fsdecode(error.filename)}: {error.strerror.lower()}", err=True)
         raise SystemExit(2) from None

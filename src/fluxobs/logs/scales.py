@@ -70,7 +70,6 @@ def excerpts(log: Log) -> Iterator[Aligned]:
 #: Largest current or voltage: raw values of a counter with 32 bits are smaller, and its fourth
 #: power is a number.
 MOST = 1e12
-UNITS = {"current": "A", "voltage": "V"}
 
 
 def measure_scales(log: Log) -> Scales:
@@ -98,20 +97,22 @@ def scales_of(pieces: Iterable[Aligned], sample_time: float, path: Path) -> Scal
     angles = angles[np.isfinite(angles)]
     i, u = np.concatenate(currents), np.concatenate(voltages)
     i, u = i[np.isfinite(i)], u[np.isfinite(u)]
-    for quantity, values in (("current", i), ("voltage", u)):
+    sizes = []
+    for quantity, unit, values in (("current", "A", i), ("voltage", "V", u)):
         if len(values) == 0:
             raise RecordError(f"{path}: no row has a {quantity}; are the columns right?")
         if not values.any():
             raise RecordError(
                 f"{path}: the {quantity} is zero in every row; are column and scale right?"
             )
-        size = np.percentile(values, 95)
+        size = float(np.percentile(values, 95))
         if size > MOST:
             raise RecordError(
-                f"{path}: the {quantity} is {size:.3g} {UNITS[quantity]}: more than any drive or "
+                f"{path}: the {quantity} is {size:.3g} {unit}: more than any drive or "
                 f"counter has; are column and scale right?"
             )
-    current, voltage = float(np.percentile(i, 95)) or float(i.max()), float(np.percentile(u, 95))
+        sizes.append(size)
+    current, voltage = sizes[0] or float(i.max()), sizes[1]
     # Faulty rows and commutations would count as noise.
     detector = Detector(current, voltage, 0.0)
     noise = [white_noise(detector.smooth(piece)) for piece in pieces]

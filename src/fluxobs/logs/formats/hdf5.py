@@ -92,16 +92,13 @@ def open_hdf5(path: Path, extra: str = "hdf5") -> list[Table]:
     def visit(name: str | bytes, node: Any) -> None:
         if isinstance(name, bytes):  # not UTF-8
             name = name.decode("utf-8", errors="replace")
+        excess = None
         if next(count) > _MOST_NODES:
-            raise RecordError(
-                f"{path}: more than {_MOST_NODES} groups and data sets; save the signals of the "
-                f"log in a file of their own"
-            )
-        if name.count("/") >= _DEEPEST:
-            raise RecordError(
-                f"{path}: groups are nested more than {_DEEPEST} deep; save the signals of the log "
-                f"in a file of their own"
-            )
+            excess = f"more than {_MOST_NODES} groups and data sets"
+        elif name.count("/") >= _DEEPEST:
+            excess = f"groups are nested more than {_DEEPEST} deep"
+        if excess:
+            raise RecordError(f"{path}: {excess}; save the log's signals in a separate file")
         if name.startswith((_REFERENCES, _SUBSYSTEM)):
             return
         kind = node.attrs.get(_CLASS, b"")
