@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <memory>
 #include <new>
+#include <stdexcept>
 #include <string_view>
 #include <utility>
 
@@ -94,6 +95,7 @@ nb::tuple estimate(const Column &numbers, const Column &std, int kind, const Col
         good = fo_estimate_arrays(&in, p.get(), posterior.get(), about.get(), columns.get(),
                                   known.get(), budget.get());
     }
+    if (fo_stopped) throw std::runtime_error("stopped");
     if (!good) throw std::bad_alloc();
     return nb::make_tuple(owned(std::move(p), {FO_P}), owned(std::move(posterior), {active, active}),
                           owned(std::move(about), {FO_ABOUT}),
@@ -109,6 +111,7 @@ NB_MODULE(_smoother, m) {
           nb::arg("coefficients"), nb::arg("voltage"), nb::arg("current"), nb::arg("row_flags"),
           nb::arg("angle"), nb::arg("angle_std"), nb::arg("start"), nb::arg("covariance"),
           nb::arg("filter_scale"), nb::arg("learning"));
+    m.def("stop", [] { fo_stopped = 1; });
     m.def("rows_per_block", &fo_block_rows, nb::arg("sample_time"), nb::arg("speed"));
     m.attr("assumptions") = nb::str(fo_assumption_names);
     m.attr("model_fields") = nb::str(fo_model_names);

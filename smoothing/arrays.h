@@ -30,7 +30,7 @@ typedef struct {
 
 /* `p`: FO_P, `covariance`: active * active, `about`: FO_ABOUT; where learning starts, and results.
  * `columns`: FO_S * rows, `known`: rows, `budget`: blocks * FO_QUANTITIES *
- * FO_BUDGET; results. 0: no memory. */
+ * FO_BUDGET; results. 0: no memory, or stopped. */
 int fo_estimate_arrays(const fo_arrays *in, double *p, double *covariance, double *about,
                        double *columns, uint8_t *known, double *budget);
 

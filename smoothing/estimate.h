@@ -53,7 +53,7 @@ size_t fo_rows_per_block(const fo_model *m);
 size_t fo_blocks_of(const fo_model *m, size_t rows);
 
 /* `learnt->p` is where learning starts, or with `learning` false, what is assumed. False: no
- * memory. */
+ * memory, or stopped. */
 bool fo_estimate_rows(const fo_model *m, const fo_record *r, bool learning, fo_assumed *learnt,
                       const fo_estimates *out);
 

@@ -444,6 +444,7 @@ static bool iterate(fo_work *w, fo_assumed *out, fo_smoothed *s, normal *n, acce
     out->settled = false;
     for (int it = 0; it < ITERATIONS; it++) {
         fo_linearise(w, out->p, NULL);
+        if (fo_stopped) return false;
         smooth_blocks(w, out->p, covariance, s);
         covariance = s->room.covariance;
         if (!normal_equations(w, out->p, s, usual_speed(w), n)) return false;
@@ -534,9 +535,12 @@ bool fo_learn(fo_work *w, bool learning, fo_assumed *out, fo_smoothed *s)
                 w->columns = k + 1 < POLISHING ? 0 : P;
                 s->sides = 1 + w->columns;
                 fo_linearise(w, out->p, NULL);
+                if (fo_stopped) break;
                 smooth_blocks(w, out->p, k > 0 || learning ? s->room.covariance : NULL, s);
                 move_reference(w, s, NULL, w->correction, w->psi);
             }
+            good = good && !fo_stopped;
+            if (!good) break;
             const size_t added = round == DOUBTFUL_ROUNDS ? 0 : mark_doubtful(w, s, psis);
             out->left_out = out->left_out || added > 0;
             if (added == 0) break;

@@ -23,7 +23,7 @@ typedef struct {
 } fo_smoothed;
 
 /* Starts from the reference of `w` and from `learnt->p`. `learning` false: the assumptions and
- * their covariance stay. Returns false: no memory. */
+ * their covariance stay. Returns false: no memory, or stopped. */
 bool fo_learn(fo_work *w, bool learning, fo_assumed *learnt, fo_smoothed *smoothed);
 
 /* Mean square of the normalised innovations around each block, within FO_MISFIT_TIME. */

@@ -425,6 +425,8 @@ void fo_fit_speed(fo_work *w)
     }
 }
 
+volatile int fo_stopped = 0;
+
 void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
 {
     const fo_model *m = w->model;
@@ -453,6 +455,7 @@ void fo_linearise(fo_work *w, const double p[FO_P], fo_row *rows)
         interval at;
         interval_at(w, p, k, &at);
         if (inside == 0) {
+            if (fo_stopped) return;
             memset(&s, 0, sizeof s);
             s.usable = true;
         }

@@ -94,6 +94,9 @@ void fo_fit_speed(fo_work *w);
 void fo_integrate(fo_work *w, const double p[FO_P], vec *volt_seconds, vec *current,
                   double *psi);
 
+/* Set by a host that wants its thread back: passes over the rows and learning end, without a result. */
+extern volatile int fo_stopped;
+
 /* Linear interpolation between the middles of blocks; constant beyond the first and last. */
 typedef struct {
     size_t block; /* the value is (1 - share) * value[block] + share * value[block + 1] */

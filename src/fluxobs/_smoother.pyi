@@ -19,6 +19,9 @@ model_fields: str
 map_fields: str
 outputs: str
 
+def stop() -> None:
+    """End the estimates of all threads, now and later, by RuntimeError."""
+
 def rows_per_block(sample_time: float, speed: float) -> int: ...
 def estimate(
     numbers: NDArray[np.float64],

@@ -110,8 +110,21 @@ def repeat_options(arguments: Iterable[str]) -> list[str]:
     return expanded
 
 
+def _stop_threads() -> None:
+    """End what threads compute: the program's end waits for them."""
+    smoother = sys.modules.get("fluxobs._smoother")
+    if smoother is not None:
+        smoother.stop()
+
+
 def _raise_stopped(number: int, frame: object) -> None:
+    _stop_threads()
     raise Stopped
+
+
+def _exit(number: int, frame: object) -> None:
+    _stop_threads()
+    sys.exit(128 + number)
 
 
 def _use_one_arena() -> None:
@@ -134,7 +147,7 @@ def main() -> None:
         if (
             number is not None and signal.getsignal(number) is signal.SIG_DFL
         ):  # keep nohup's setting
-            signal.signal(number, lambda number, frame: sys.exit(128 + number))
+            signal.signal(number, _exit)
     signal.signal(signal.SIGINT, _raise_stopped)
     before = name_flags(True)
     try:
