@@ -2,7 +2,7 @@
  *
  * The score of a likelihood must be the exact derivative of the likelihood that the code computes,
  * covariances included. With these numbers the recursion is written once. d[0] is the value,
- * d[1 + k] the derivative by parameter k. */
+ * d[1 + k] the derivative by parameter k of those on which the covariances depend. */
 #ifndef FLUXOBS_DUAL_H
 #define FLUXOBS_DUAL_H
 
@@ -10,7 +10,7 @@
 
 #include "parameters.h"
 
-enum { FO_WIDTH = (1 + FO_L + 3) / 4 * 4 }; /* a multiple of what a vector register holds */
+enum { FO_WIDTH = (1 + FO_C + 3) / 4 * 4 }; /* a multiple of what a vector register holds */
 
 typedef struct {
     double d[FO_WIDTH];
@@ -136,45 +136,10 @@ static inline fo_dual fo_exp_of(fo_dual a)
     return fo_chain(a, e, e);
 }
 
-static inline fo_dual fo_tanh_of(fo_dual a)
-{
-    const double t = tanh(a.d[0]);
-    return fo_chain(a, t, 1.0 - t * t);
-}
-
 /* A vector of two components. */
 typedef struct {
     fo_dual a, b;
 } fo_pair;
-
-static inline fo_pair fo_unit(fo_dual angle)
-{
-    const double c = cos(angle.d[0]), s = sin(angle.d[0]);
-    const fo_pair r = {fo_chain(angle, c, -s), fo_chain(angle, s, c)};
-    return r;
-}
-
-/* Turned by the angle of the unit vector. */
-static inline fo_pair fo_turned(fo_pair x, fo_pair unit)
-{
-    const fo_pair r = {fo_msub(fo_mul(x.a, unit.a), x.b, unit.b),
-                       fo_mac(fo_mul(x.a, unit.b), x.b, unit.a)};
-    return r;
-}
-
-/* Turned back. */
-static inline fo_pair fo_turned_back(fo_pair x, fo_pair unit)
-{
-    const fo_pair r = {fo_mac(fo_mul(x.a, unit.a), x.b, unit.b),
-                       fo_msub(fo_mul(x.b, unit.a), x.a, unit.b)};
-    return r;
-}
-
-static inline fo_pair fo_added(fo_pair x, double s, fo_pair y)
-{
-    const fo_pair r = {fo_axpy(x.a, s, y.a), fo_axpy(x.b, s, y.b)};
-    return r;
-}
 
 static inline fo_pair fo_constant_pair(double a, double b)
 {

@@ -1,4 +1,4 @@
-/* Angle, speed and parameters of a whole log of a synchronous machine, from any start. */
+/* Angle, speed and parameters of a whole log of a synchronous machine. */
 #ifndef FLUXOBS_ESTIMATE_H
 #define FLUXOBS_ESTIMATE_H
 
@@ -11,7 +11,7 @@ extern "C" {
 
 typedef enum {
     FO_ESTIMATED,
-    FO_NO_ESTIMATE, /* the likelihood cannot be evaluated: the log contradicts every start */
+    FO_NO_ESTIMATE, /* the likelihood cannot be evaluated: the log contradicts the start */
     FO_NO_MEMORY
 } fo_outcome;
 
@@ -20,15 +20,22 @@ typedef struct {
     double R, L_d, L_q, psi_f, rated_current;
     double R_std, L_std, psi_std;
     double lag, lag_std; /* that the voltages act later than the log says [samples] */
+    /* Errors that a drive may have; 0: it has none. */
+    double delay_std;  /* the currents are older than the log says [samples] */
+    double iron_std;   /* current of the iron loss per induced voltage [A/V] */
+    double heat_std;   /* relative change of R over the log [1] */
+    double offset_std; /* of a component of the current [A] */
+    double gain_std;   /* unequal gains of the current sensors [1] */
 } fo_file;
 
 /* Priors of an ordinary drive. The levels scale with the log's mean voltage and the rated current. */
 fo_prior fo_ordinary_prior(const fo_log *log, const fo_file *file);
 
-/* Estimates: the fastest part of the log first, from the direction of its voltages; then parts that
- * contain it, each twice as long, up to the whole log. `rows`: an element for each row. */
-fo_outcome fo_estimate(const fo_log *log, const fo_file *file, fo_posterior *posterior,
-                       fo_smoothed *rows);
+/* Estimates from a course that another estimate of the log gives: `angle` of each row, within about
+ * half a radian, finite, without jumps of a turn. `parameters`: where learning starts, FO_UNKNOWNS;
+ * NaN, and null for all: the mean of the prior. `rows`: an element for each row. */
+fo_outcome fo_estimate(const fo_log *log, const fo_file *file, const double *angle,
+                       const double *parameters, fo_posterior *posterior, fo_smoothed *rows);
 
 #ifdef __cplusplus
 }

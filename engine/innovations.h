@@ -3,7 +3,10 @@
  * The measurement is the current: i_k = f(λ_k, θ_k) + n_k. The applied voltages and the *predicted*
  * current (R i, loss of the inverter) drive the flux λ. So the noise of a row enters once, in the
  * row's innovation, and the score has mean zero at the true parameters although a controller
- * answers the noise. Derivation: docs/theory.md, section 20. */
+ * answers the noise. The model is linearised about a course of flux and angle over the whole log,
+ * not about the filter's own estimates: a filter that does not know the angle yet follows it all
+ * the same, and smoothing gives the next course (Gauss–Newton). Derivation: docs/theory.md,
+ * section 20. */
 #ifndef FLUXOBS_INNOVATIONS_H
 #define FLUXOBS_INNOVATIONS_H
 
@@ -16,21 +19,22 @@
 extern "C" {
 #endif
 
-/* Errors of the state, in the coordinates of the estimated rotor: there the matrices of the filter
- * depend on the parameters, on the speed and on i_dq only, and change slowly. */
+/* States; vectors in stator coordinates. The noise is the predictable part of coloured noise; it is
+ * the last, so that white noise needs FO_WHITE states only. */
 enum {
-    FO_FLUX_D,
-    FO_FLUX_Q,
-    FO_ANGLE,
+    FO_FLUX,
+    FO_ANGLE = 2,
     FO_SPEED,
     FO_ACCELERATION,
-    FO_GAIN,
-    FO_DRIFT_D,
-    FO_DRIFT_Q,
-    FO_NOISE_D,
-    FO_NOISE_Q,
-    FO_STATES
+    FO_DRIFT,
+    FO_NOISE = 7,
+    FO_WHITE = FO_NOISE,
+    FO_STATES = 9
 };
+/* Those of the course and of the result: flux, angle, speed. */
+enum { FO_OWN = 4 };
+/* Elements of the transition that are not zero; see innovations.c. */
+enum { FO_ELEMENTS = 31 };
 
 /* A log of a synchronous machine with constant inductances. */
 typedef struct {
@@ -41,16 +45,20 @@ typedef struct {
     const double *current; /* [A] */
 } fo_log;
 
-/* State at the first row, with standard deviations. The flux is that of the measured current. */
+/* Where the model is linearised at a row. */
 typedef struct {
-    double angle, angle_std; /* [rad] */
-    double speed, speed_std; /* [rad/s] */
-    double acceleration_std; /* [rad/s²] */
-    double flux_std;         /* of a component [Wb] */
-    double drift_std;        /* of a component [V] */
-    double gain_std;         /* of the voltage's gain [1] */
-    size_t skipped;          /* rows until the innovations count */
-    double price; /* of losing the rotor and starting again at a row [half squares]; 0: never */
+    double flux[2]; /* stator coordinates [Wb] */
+    double angle;   /* without jumps of a turn [rad] */
+    double unrest;  /* factor on the variance by which the acceleration changes until the next row */
+} fo_course;
+
+/* What is known before the first row: standard deviations about the course. */
+typedef struct {
+    double flux_std, angle_std; /* [Wb], [rad] */
+    double speed_std;           /* [rad/s] */
+    double acceleration_std;    /* [rad/s²] */
+    double drift_std;           /* of a component [V] */
+    size_t skipped;             /* rows until the innovations count */
 } fo_start;
 
 typedef struct {
@@ -59,31 +67,28 @@ typedef struct {
     double information[FO_UNKNOWNS * FO_UNKNOWNS]; /* expected second derivative (Fisher) */
     double mean_square; /* of the normalised innovations; 1 if the levels are right */
     size_t counted;     /* rows */
-    size_t losses;      /* times that the filter lost the rotor */
 } fo_likelihood;
 
 /* What the filter knows at a row, for smoothing backwards. */
 typedef struct {
-    double angle, speed;             /* after the measurement */
-    double P[FO_STATES][FO_STATES];  /* covariance, after it */
-    double error[2], inverse[2][2];  /* innovation, and the inverse of its covariance */
+    double own[FO_OWN];              /* after the measurement */
+    double P[FO_OWN][FO_STATES];     /* their covariances */
+    double error[2], inverse[3];     /* innovation, inverse of its covariance: 00, 01, 11 */
     double K[FO_STATES][2];          /* Kalman gain */
-    double H[2][FO_STATES];          /* derivative of the measurement */
-    double F[FO_STATES][FO_STATES];  /* transition to the next row */
+    double by_flux[3], by_angle[2];  /* derivatives of the current: αα, αβ, ββ; α, β */
+    double F[FO_ELEMENTS];           /* transition to the next row */
     double error_by[2][FO_UNKNOWNS]; /* derivatives of the innovation by the parameters */
-    double state_by[2][FO_UNKNOWNS]; /* derivatives of angle and speed */
+    double own_by[2][FO_UNKNOWNS];   /* derivatives of angle and speed */
     bool measured;
 } fo_row;
 
-/* `parameters`: FO_L, then two coefficients of each harmonic [Wb]; the last unknown is that of
- * `start`, and the derivatives are by its change. `kept`: an element for each row, or null.
- * False: a number is not finite, or a covariance is not positive. */
-bool fo_innovations(const fo_log *log, const double parameters[FO_UNKNOWNS], const fo_start *start,
-                    fo_likelihood *out, fo_row *kept);
+/* Rows and columns of the elements of the transition. */
+extern const unsigned char fo_pattern[FO_ELEMENTS][2];
 
-/* Whether the filter has lost the rotor at a row: `recent` is the running mean of the normalised
- * squares, 1 at first. */
-bool fo_is_lost(const fo_row *row, double *recent);
+/* `parameters`: FO_L, then two coefficients of each harmonic [Wb]. `kept`: an element for each row, or
+ * null. False: a number is not finite, or a covariance is not positive. */
+bool fo_innovations(const fo_log *log, const fo_course *course, const double parameters[FO_UNKNOWNS],
+                    const fo_start *start, fo_likelihood *out, fo_row *kept);
 
 #ifdef __cplusplus
 }

@@ -2,34 +2,46 @@
 #ifndef FLUXOBS_PARAMETERS_H
 #define FLUXOBS_PARAMETERS_H
 
-#define FO_PARAMETERS(NAME)                                                                    \
-    NAME(resistance)   /* ln R                                                          [Ω]  */ \
-    NAME(L_d)          /* ln L_d                                                        [H]  */ \
-    NAME(L_q)          /* ln L_q                                                        [H]  */ \
-    NAME(psi_f)        /* ln ψ                                                          [Wb] */ \
-    NAME(loss)         /* voltage loss of a phase                                       [V]  */ \
-    NAME(knee)         /* ln of the current at which the loss is 76 % of its value      [A]  */ \
+/* The covariances of the filter depend on these. */
+#define FO_OF_COVARIANCE(NAME)                                                                   \
+    NAME(resistance)   /* ln R                                                            [Ω]  */ \
+    NAME(L_d)          /* ln L_d                                                          [H]  */ \
+    NAME(L_q)          /* ln L_q                                                          [H]  */ \
+    NAME(psi_f)        /* ln ψ                                                            [Wb] */ \
     NAME(mobility)     /* acceleration of the angle over flux × current, 3/2 n_p²/J [1/(kg m²)] */ \
-    NAME(lag)          /* the voltages act later than the log says                 [samples] */ \
-    NAME(noise)        /* ln of the std of a component of the current's noise           [A]  */ \
-    NAME(acceleration) /* ln of the std by which the acceleration changes  [rad/s²/√s] */ \
-    NAME(voltage)      /* ln of the std of the voltage's error, white              [V √s]    */ \
-    NAME(drift)        /* ln of the std by which the drift changes in a second     [V/√s]    */ \
-    NAME(gain)         /* ln of the std by which the voltage's gain changes        [1/√s]    */ \
-    NAME(colour_pole)  /* ρ of the current's noise, n = z + w, z⁺ = ρ z + g w           [1]  */ \
-    NAME(colour_gain)  /* g; 0: white                                                   [1]  */
+    NAME(noise)        /* ln of the std of a component of the current's noise             [A]  */ \
+    NAME(acceleration) /* ln of the std by which the acceleration changes         [rad/s²/√s] */ \
+    NAME(voltage)      /* ln of the std of the voltage's error, white                [V √s]    */ \
+    NAME(drift)        /* ln of the std by which the drift changes in a second       [V/√s]    */ \
+    NAME(colour_pole)  /* ρ of the current's noise, n = z + w, z⁺ = ρ z + g w             [1]  */ \
+    NAME(colour_gain)  /* g; 0: white                                                     [1]  */
 
-/* Harmonics of the flux in rotor coordinates, Σ a e^{jhθ} [Wb]: their orders h. An offset of the
- * current has order −1, unequal phases −2, slots and the curve of the inverter's loss ±6. */
-#define FO_HARMONICS(ORDER) ORDER(-1) ORDER(-2) ORDER(2) ORDER(-4) ORDER(4) ORDER(-6) ORDER(6)
+/* These change the means only. */
+#define FO_OF_MEANS(NAME)                                                                        \
+    NAME(loss)         /* ln of the voltage loss of a phase                               [V]  */ \
+    NAME(knee)         /* ln of the current at which the loss is 76 % of its value        [A]  */ \
+    NAME(lag)          /* the voltages act later than the log says                   [samples] */ \
+    NAME(delay)        /* the currents are older than the log says                   [samples] */ \
+    NAME(iron_loss)    /* current per induced voltage                                   [A/V] */ \
+    NAME(heat)         /* relative change of R from the first to the last row             [1] */ \
+    NAME(offset_alpha) /* of the measured current                                         [A] */ \
+    NAME(offset_beta)                                                                            \
+    NAME(gain_re)      /* unequal gains of the current sensors, g in i + g conj(i)        [1] */ \
+    NAME(gain_im)
+
+/* Harmonics of the flux in rotor coordinates, Σ a e^{jhθ} [Wb]: their orders h. Unequal phases have
+ * order −2, a magnet's fifth and seventh harmonic −6 and 6. Order −1 is a constant in stator
+ * coordinates, which the flux itself takes. */
+#define FO_HARMONICS(ORDER) ORDER(-2) ORDER(2) ORDER(-4) ORDER(4) ORDER(-6) ORDER(6)
 
 #define FO_PARAMETER_INDEX(name) FO_L_##name,
-enum { FO_PARAMETERS(FO_PARAMETER_INDEX) FO_L };
+enum { FO_OF_COVARIANCE(FO_PARAMETER_INDEX) FO_C };
+enum { FO_BEFORE_MEANS = FO_C - 1, FO_OF_MEANS(FO_PARAMETER_INDEX) FO_L };
 #undef FO_PARAMETER_INDEX
 
 #define FO_COUNT(order) +1
-/* The last unknown: the angle of the first row, with its current held [rad]. */
-enum { FO_ORDERS = 0 FO_HARMONICS(FO_COUNT), FO_TURN = FO_L + 2 * FO_ORDERS, FO_UNKNOWNS };
+/* After the parameters: two coefficients of each harmonic [Wb]. */
+enum { FO_ORDERS = 0 FO_HARMONICS(FO_COUNT), FO_UNKNOWNS = FO_L + 2 * FO_ORDERS };
 #undef FO_COUNT
 
 #endif

@@ -3,15 +3,24 @@
 #include <math.h>
 #include <string.h>
 
+#include "smoothed.h"
+
 enum { MOST = FO_UNKNOWNS, MACHINE = FO_L_psi_f + 1 };
 
 /* Assumed: one machine file in twenty describes another machine, and its errors are five times as
  * large. */
 static const double other_machines = 0.05, wider = 5.0;
-static const double any_angle = 1.8137993642342178; /* π/√3: the std of a uniform angle [rad] */
 /* The level of the harmonics has an inverse gamma prior. It counts like two coefficients, each a
  * tenth of the scale. */
 static const double harmonics_weight = 2.0, harmonics_share = 0.1;
+
+/* Half squares by which an evaluation may be worse than the last: a new course or unrest moves the
+ * objective by about that much. */
+static const double slack = 2.0;
+/* ln: no sensor is thirty times as quiet as an ordinary one, although a flat log is. */
+static const double quietest = 3.4;
+#define LARGEST_DAMPING 1e4
+enum { SETTLING = 12 }; /* evaluations with unrest, at least */
 
 typedef struct {
     double value, slope[FO_UNKNOWNS], curvature[FO_UNKNOWNS];
@@ -46,7 +55,7 @@ static penalty penalty_at(const fo_prior *prior, const double *p, double harmoni
         out.curvature[k] = 1.0 / (std * std);
     }
     if (!(prior->harmonics > 0.0)) return out;
-    for (int k = FO_L; k < FO_TURN; k++) {
+    for (int k = FO_L; k < FO_UNKNOWNS; k++) {
         const double d = p[k] / harmonics;
         out.value += 0.5 * d * d + log(harmonics);
         out.slope[k] = d / harmonics;
@@ -63,12 +72,11 @@ typedef struct {
     bool round;
 } selection;
 
-static selection selected(const fo_prior *prior, const bool *free, bool turn)
+static selection selected(const fo_prior *prior, const bool *free)
 {
     selection s = {0, {0}, prior->round};
     for (int k = 0; k < FO_UNKNOWNS; k++) {
-        const bool own = k == FO_TURN ? turn
-                         : k >= FO_L  ? prior->harmonics > 0.0
+        const bool own = k >= FO_L ? prior->harmonics > 0.0
                                    : prior->std[k] > 0.0 && (!free || free[k]) &&
                                          !(prior->round && k == FO_L_L_q);
         if (own) s.at[s.count++] = k;
@@ -140,12 +148,18 @@ static double longest(const fo_prior *prior, int k)
 {
     if (k < MACHINE) return 0.2; /* logarithms: 20 % */
     switch (k) {
-    case FO_L_loss:
-    case FO_L_mobility: return prior->std[k];
-    case FO_L_lag: return 0.3;
+    case FO_L_iron_loss:
+    case FO_L_heat:
+    case FO_L_offset_alpha:
+    case FO_L_offset_beta:
+    case FO_L_gain_re:
+    case FO_L_gain_im:
+    case FO_L_mobility: return 2.0 * prior->std[k];
+    case FO_L_lag:
+    case FO_L_delay: return 0.3;
     case FO_L_colour_pole:
     case FO_L_colour_gain: return 0.2;
-    default: return k < FO_L ? 0.7 : HUGE_VAL; /* logarithms of levels: twofold */
+    default: return k < FO_L ? 1.0 : HUGE_VAL; /* logarithms of levels: twofold */
     }
 }
 
@@ -177,10 +191,9 @@ static bool invert(const selection *s, double H[MOST][MOST], double *covariance)
 
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out)
 {
-    const selection s = selected(prior, NULL, true);
+    const selection s = selected(prior, NULL);
     double g[MOST], H[MOST][MOST];
-    penalty own = penalty_at(prior, out->parameters, out->harmonics);
-    own.curvature[FO_TURN] = 1.0 / (any_angle * any_angle);
+    const penalty own = penalty_at(prior, out->parameters, out->harmonics);
     reduced(&s, at, &own, g, H);
     return invert(&s, H, out->covariance);
 }
@@ -189,62 +202,160 @@ bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior 
 static double level(const fo_prior *prior, const fo_posterior *at)
 {
     double sum = harmonics_weight * pow(harmonics_share * prior->harmonics, 2.0);
-    for (int k = FO_L; k < FO_TURN; k++)
+    for (int k = FO_L; k < FO_UNKNOWNS; k++)
         sum += at->parameters[k] * at->parameters[k] + at->covariance[k * FO_UNKNOWNS + k];
     return sqrt(sum / (2 * FO_ORDERS + harmonics_weight));
 }
 
-bool fo_maximise(const fo_log *log, const fo_start *start, const fo_prior *prior, const bool *free,
-                 double gain, size_t most, fo_posterior *out)
+/* Rows in which the unrest of the acceleration is constant, and how many rows its prior counts: a load
+ * step is over within a few rows, and calm rows tell little one by one. With 100 rows the bias of the
+ * inductance of a small motor is a tenth larger (tests/engine/drive_table.py). */
+enum { CALM = 25 };
+static const double calm_rows = 1.0;
+
+/* EM: the unrest of each stretch is its mean square change, with an inverse gamma prior about one. The
+ * mean of their logarithms stays zero; the level of the acceleration takes it. */
+static void learn_unrest(const fo_log *record, const fo_row *rows, double *changes, fo_course *course,
+                         double *level)
 {
-    const selection s = selected(prior, free, false);
-    fo_likelihood at, next;
-    double g[MOST], H[MOST][MOST], R[MOST][MOST], scale[MOST], step[MOST];
-    double damping = 1e-3, gained = HUGE_VAL;
-    out->evaluations = 1;
+    double sum = 0.0;
+    fo_smooth_changes(rows, record->rows, exp(2.0 * *level) * fabs(record->sample_time), course, changes);
+    for (size_t first = 0; first < record->rows; first += CALM) {
+        const size_t end = first + CALM < record->rows ? first + CALM : record->rows;
+        double squares = 0.0;
+        for (size_t k = first; k < end; k++) squares += fmax(changes[k], 0.0);
+        const double n = (double)(end - first);
+        const double now = course[first].unrest;
+        const double step = (calm_rows / now + squares) / (calm_rows + n);
+        const double unrest = now * step * step * step; /* over-relaxed: EM alone creeps */
+        for (size_t k = first; k < end; k++) course[k].unrest = unrest;
+        sum += n * log(unrest);
+    }
+    const double mean = sum / (double)record->rows;
+    for (size_t k = 0; k < record->rows; k++) course[k].unrest *= exp(-mean);
+    *level += 0.5 * mean;
+}
+
+/* −ln of the prior of the unrest. */
+static double unrest_penalty(const fo_course *course, size_t rows)
+{
+    double sum = 0.0;
+    for (size_t k = 0; k < rows; k++)
+        sum += (1.0 / course[k].unrest - 1.0) / (double)CALM;
+    return 0.5 * calm_rows * sum;
+}
+
+static bool is_level(int k)
+{
+    return k == FO_L_noise || k == FO_L_acceleration || k == FO_L_voltage || k == FO_L_drift;
+}
+
+/* Last step of a parameter whose information is far from its curvature where the log hardly determines
+ * it, and how long the next may be: logarithms of levels, and of a loss that is nearly zero, would
+ * swing to and fro. A step that turns back is at most half of the last, the next twice as long. */
+typedef struct {
+    double last, most;
+} swing;
+
+static double longest_swing(const swing *w, const fo_prior *prior, int k, double step)
+{
+    if (w->last == 0.0) return longest(prior, k);
+    return step * w->last < 0.0 ? 0.5 * fabs(w->last) : fmin(2.0 * w->most, longest(prior, k));
+}
+
+/* A step of the free parameters with damped curvature, no longer than allowed; returns what it is
+ * expected to gain, or a negative number if the curvature is not positive. Levels are shortened one by
+ * one, since the others hardly depend on them. */
+static double damped_step(const selection *s, const fo_prior *prior, const double *g,
+                          double H[MOST][MOST], double damping, swing *swings, double *parameters)
+{
+    double R[MOST][MOST], scale[MOST], step[MOST], share = 1.0, gain = 0.0;
+    if (!factor(s->count, H, damping, scale, R)) return -1.0;
+    solve(s->count, R, scale, g, step);
+    for (int k = 0; k < s->count; k++) {
+        const int at = s->at[k];
+        const bool swings_too = is_level(at) || at == FO_L_loss;
+        double most = longest(prior, at);
+        if (swings_too) most = swings[k].most = longest_swing(&swings[k], prior, at, step[k]);
+        if (is_level(at))
+            step[k] = fmax(fmin(step[k], most), -most);
+        else
+            share = fmin(share, most / fmax(fabs(step[k]), 1e-300));
+    }
+    for (int k = 0; k < s->count; k++) {
+        const double own = is_level(s->at[k]) ? step[k] : share * step[k];
+        swings[k].last = own;
+        parameters[s->at[k]] -= own;
+        gain += 0.5 * g[k] * own;
+        if (s->round && s->at[k] == FO_L_L_d) parameters[FO_L_L_q] -= own;
+    }
+    parameters[FO_L_noise] = fmax(parameters[FO_L_noise], prior->mean[FO_L_noise] - quietest);
+    return gain;
+}
+
+bool fo_learn(const fo_log *log, const fo_start *start, const fo_prior *prior, const fo_stage *stage,
+              fo_course *course, fo_row *rows, double *changes, fo_posterior *out)
+{
+    const selection s = selected(prior, stage->free);
+    fo_likelihood at;
+    double g[MOST], H[MOST][MOST], tried[FO_UNKNOWNS], damping = 1e-3, expected = HUGE_VAL;
+    swing swings[MOST] = {{0.0, 0.0}};
+    bool based = false; /* out holds accepted parameters, g and H their derivatives */
+    memcpy(tried, out->parameters, sizeof tried);
     out->converged = false;
-    if (!fo_innovations(log, out->parameters, start, &at, NULL) || !isfinite(at.objective))
-        return false;
-    penalty own = penalty_at(prior, out->parameters, out->harmonics);
-    for (size_t n = 0;; n++) {
-        out->objective = at.objective + own.value;
+    for (size_t n = 0; n < stage->most; n++) {
+        out->evaluations++;
+        const bool good = fo_innovations(log, course, tried, start, &at, rows) &&
+                          isfinite(at.objective);
+        if (!good && !based) return false;
+        penalty own = penalty_at(prior, tried, out->harmonics);
+        double objective = at.objective + own.value + unrest_penalty(course, log->rows);
+        const bool same = based && !memcmp(tried, out->parameters, sizeof tried);
+        if (based && !same && !(good && objective <= out->objective + (stage->jumps ? slack : 0.0))) {
+            /* Shorter. If no step is better about this course, it is the base about this course. */
+            damping *= 10.0;
+            memcpy(tried, out->parameters, sizeof tried);
+            if (damping < LARGEST_DAMPING) expected = damped_step(&s, prior, g, H, damping, swings, tried);
+            continue;
+        }
+        if (!good) return false;
+        const double gained = based ? out->objective - objective : HUGE_VAL;
+        based = true;
+        memcpy(out->parameters, tried, sizeof tried);
         out->mean_square = at.mean_square;
         reduced(&s, &at, &own, g, H);
         if (!invert(&s, H, out->covariance)) return false;
         /* The level moves once the first steps have removed what is not harmonic. */
-        if (prior->harmonics > 0.0 && n >= 3 && gained >= gain) {
+        if (prior->harmonics > 0.0 && n >= 3) {
             out->harmonics = level(prior, out);
             own = penalty_at(prior, out->parameters, out->harmonics);
-            out->objective = at.objective + own.value;
+            objective = at.objective + own.value + unrest_penalty(course, log->rows);
             reduced(&s, &at, &own, g, H);
         }
-        if (gained < gain) out->converged = true;
-        if (out->converged || out->evaluations >= most) break;
-        bool better = false;
-        for (; !better && damping < 1e9 && out->evaluations < most; damping *= better ? 1.0 : 8.0) {
-            if (!factor(s.count, H, damping, scale, R)) continue;
-            solve(s.count, R, scale, g, step);
-            double share = 1.0, moved[FO_UNKNOWNS];
-            for (int k = 0; k < s.count; k++)
-                share = fmin(share, longest(prior, s.at[k]) / fmax(fabs(step[k]), 1e-300));
-            memcpy(moved, out->parameters, sizeof moved);
-            for (int k = 0; k < s.count; k++) moved[s.at[k]] -= share * step[k];
-            if (s.round) moved[FO_L_L_q] += moved[FO_L_L_d] - out->parameters[FO_L_L_d];
-            out->evaluations++;
-            if (!fo_innovations(log, moved, start, &next, NULL)) continue;
-            const penalty theirs = penalty_at(prior, moved, out->harmonics);
-            gained = out->objective - next.objective - theirs.value;
-            better = gained > 0.0; /* false for what is not a number */
-            if (!better) continue;
-            memcpy(out->parameters, moved, sizeof moved);
-            at = next;
-            own = theirs;
-        }
-        damping = fmax(0.15 * damping, 1e-12);
-        if (!better) { /* no step is better: a minimum, as far as rounding tells */
-            out->converged = out->evaluations < most;
+        out->objective = objective;
+        /* The unrest creeps on when the parameters hardly move any more. */
+        if (expected < stage->gain &&
+            (stage->jumps ? n >= SETTLING : fabs(gained) < 10.0 * stage->gain)) {
+            out->converged = true;
             break;
         }
+        if (stage->jumps)
+            learn_unrest(log, rows, changes, course, &out->parameters[FO_L_acceleration]);
+        if (stage->smoothing) fo_smooth_course(rows, log->rows, course);
+        if (stage->smoothing && !stage->jumps) { /* far from the end, a step needs its own base */
+            out->evaluations++;
+            if (!fo_innovations(log, course, out->parameters, start, &at, rows)) return false;
+            out->objective = at.objective + own.value + unrest_penalty(course, log->rows);
+            reduced(&s, &at, &own, g, H);
+        }
+        damping = fmin(fmax(0.1 * damping, 1e-9), 1.0);
+        memcpy(tried, out->parameters, sizeof tried);
+        expected = damped_step(&s, prior, g, H, damping, swings, tried);
+        while (expected < 0.0 && damping < LARGEST_DAMPING) {
+            damping *= 10.0;
+            memcpy(tried, out->parameters, sizeof tried);
+            expected = damped_step(&s, prior, g, H, damping, swings, tried);
+        }
     }
-    return true;
+    return based;
 }

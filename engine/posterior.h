@@ -20,20 +20,27 @@ typedef struct {
     double parameters[FO_UNKNOWNS];
     double covariance[FO_UNKNOWNS * FO_UNKNOWNS];
     double harmonics;   /* level of the harmonics [Wb] */
-    double objective;   /* −ln of likelihood and prior, without constant */
+    double objective;   /* −ln of likelihood and priors, without constant */
     double mean_square; /* of the normalised innovations */
     size_t evaluations; /* of the likelihood */
     bool converged;     /* false: the bound on evaluations ended it */
 } fo_posterior;
 
-/* Levenberg–Marquardt from `out->parameters` and `out->harmonics`, at most `most` evaluations, until a
- * step gains less than `gain`. `free`: which of the FO_L may move; null: all with a std. False: the
- * likelihood cannot be evaluated at the first parameters. */
-bool fo_maximise(const fo_log *log, const fo_start *start, const fo_prior *prior, const bool *free,
-                 double gain, size_t most, fo_posterior *out);
+/* Learns from `out->parameters`, `out->harmonics` and the course: Levenberg–Marquardt on the parameters
+ * that are `free` (FO_L flags; null: all with a std), at most `most` evaluations, until a step is
+ * expected to gain less than `gain`. With `smoothing`, each evaluation gives the next course; with
+ * `jumps`, it also gives the unrest of the acceleration. `rows` and `changes`: working space, an
+ * element for each row. False: the likelihood cannot be evaluated. */
+typedef struct {
+    const bool *free;
+    double gain;
+    size_t most;
+    bool smoothing, jumps;
+} fo_stage;
+bool fo_learn(const fo_log *log, const fo_start *start, const fo_prior *prior, const fo_stage *stage,
+              fo_course *course, fo_row *rows, double *changes, fo_posterior *out);
 
-/* Covariance at the likelihood, with the first angle as an unknown of which nothing is known. False:
- * the curvature is not positive. */
+/* Covariance at the likelihood. False: the curvature is not positive. */
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out);
 
 #ifdef __cplusplus

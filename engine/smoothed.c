@@ -3,56 +3,140 @@
 #include <math.h>
 #include <string.h>
 
-enum { ANGLE_AND_SPEED = 2 };
-
-static const int own[ANGLE_AND_SPEED] = {FO_ANGLE, FO_SPEED};
-
 /* Bryson–Frazier form: x_s = x − P λ and P_s = P − P Λ P. The adjoint λ sums up the later
- * innovations; Λ is its covariance. No covariance is inverted, so a state may have no process noise.
- * λ carries its derivatives by the parameters, with the gain held. */
+ * innovations; Λ is its covariance. No covariance is inverted, so a state may have no process noise. */
+enum { COLUMNS = FO_UNKNOWNS + 1 }; /* λ, and its derivatives by the parameters, gain held */
+
 typedef struct {
-    double lambda[FO_STATES], Lambda[FO_STATES][FO_STATES];
-    double by[FO_STATES][FO_UNKNOWNS];
+    double lambda[FO_STATES][COLUMNS];
+    double Lambda[FO_STATES][FO_STATES];
 } adjoint;
 
-/* y ← Mᵀ y for λ, its derivatives and, from both sides, Λ. */
-static void transform(double M[FO_STATES][FO_STATES], adjoint *a)
+/* y ← Fᵀ y, for the first `width` columns of rows of `stride` numbers. */
+static void transition_transposed(const fo_row *row, double *y, size_t stride, size_t width)
 {
-    adjoint b;
-    double T[FO_STATES][FO_STATES];
-    memset(&b, 0, sizeof b);
-    memset(T, 0, sizeof T);
-    for (int k = 0; k < FO_STATES; k++)
-        for (int r = 0; r < FO_STATES; r++) {
-            const double m = M[k][r];
-            if (m == 0.0) continue;
-            b.lambda[r] += m * a->lambda[k];
-            for (int c = 0; c < FO_STATES; c++) T[r][c] += m * a->Lambda[k][c];
-            for (int c = 0; c < FO_UNKNOWNS; c++) b.by[r][c] += m * a->by[k][c];
-        }
+    double moved[FO_STATES * COLUMNS];
+    memset(moved, 0, FO_STATES * width * sizeof *moved);
+    for (int k = 0; k < FO_ELEMENTS; k++) {
+        const double f = row->F[k], *from = y + fo_pattern[k][0] * stride;
+        double *to = moved + fo_pattern[k][1] * width;
+        for (size_t c = 0; c < width; c++) to[c] += f * from[c];
+    }
+    for (size_t r = 0; r < FO_STATES; r++)
+        memcpy(y + r * stride, moved + r * width, width * sizeof *y);
+}
+
+/* y ← y − Hᵀ (Kᵀ y + v); v: two rows of `width` numbers, or null. */
+static void measurement_transposed(const fo_row *row, double *y, size_t stride, size_t width,
+                                   const double *v)
+{
+    double g[2][COLUMNS];
+    for (size_t a = 0; a < 2; a++) {
+        for (size_t c = 0; c < width; c++) g[a][c] = v ? v[a * width + c] : 0.0;
+        for (size_t r = 0; r < FO_STATES; r++)
+            for (size_t c = 0; c < width; c++) g[a][c] += row->K[r][a] * y[r * stride + c];
+    }
+    const double *A = row->by_flux, *b = row->by_angle;
+    for (size_t c = 0; c < width; c++) {
+        y[c] -= A[0] * g[0][c] + A[1] * g[1][c];
+        y[stride + c] -= A[1] * g[0][c] + A[2] * g[1][c];
+        y[FO_ANGLE * stride + c] -= b[0] * g[0][c] + b[1] * g[1][c];
+        y[FO_NOISE * stride + c] -= g[0][c];
+        y[(FO_NOISE + 1) * stride + c] -= g[1][c];
+    }
+}
+
+static void weighted_error(const fo_row *row, const double e[2], double v[2])
+{
+    v[0] = row->inverse[0] * e[0] + row->inverse[1] * e[1];
+    v[1] = row->inverse[1] * e[0] + row->inverse[2] * e[1];
+}
+
+static void transpose(double *M)
+{
     for (int r = 0; r < FO_STATES; r++)
-        for (int k = 0; k < FO_STATES; k++)
-            for (int c = 0; c < FO_STATES; c++) b.Lambda[r][c] += T[r][k] * M[k][c];
-    *a = b;
+        for (int c = 0; c < r; c++) {
+            double *lower = M + r * FO_STATES + c, *upper = M + c * FO_STATES + r;
+            const double x = *lower;
+            *lower = *upper;
+            *upper = x;
+        }
+}
+
+/* The transition to the next row, for `width` columns of λ and both sides of Λ. */
+static void pass_transition(const fo_row *row, adjoint *a, size_t width)
+{
+    transition_transposed(row, &a->lambda[0][0], COLUMNS, width);
+    for (int side = 0; side < 2; side++) {
+        transition_transposed(row, &a->Lambda[0][0], FO_STATES, FO_STATES);
+        transpose(&a->Lambda[0][0]);
+    }
 }
 
 /* The row's measurement: λ ← (1 − K H)ᵀ λ − Hᵀ S⁻¹ e, Λ ← (1 − K H)ᵀ Λ (1 − K H) + Hᵀ S⁻¹ H. */
-static void add_measurement(const fo_row *row, adjoint *a)
+static void pass_measurement(const fo_row *row, adjoint *a, size_t width)
 {
-    double M[FO_STATES][FO_STATES], VH[2][FO_STATES];
-    for (int r = 0; r < FO_STATES; r++)
-        for (int c = 0; c < FO_STATES; c++)
-            M[r][c] = (r == c) - row->K[r][0] * row->H[0][c] - row->K[r][1] * row->H[1][c];
-    transform(M, a);
-    for (int b = 0; b < 2; b++)
-        for (int c = 0; c < FO_STATES; c++)
-            VH[b][c] = row->inverse[b][0] * row->H[0][c] + row->inverse[b][1] * row->H[1][c];
-    for (int r = 0; r < FO_STATES; r++) {
-        a->lambda[r] -= VH[0][r] * row->error[0] + VH[1][r] * row->error[1];
-        for (int c = 0; c < FO_STATES; c++)
-            a->Lambda[r][c] += row->H[0][r] * VH[0][c] + row->H[1][r] * VH[1][c];
-        for (int c = 0; c < FO_UNKNOWNS; c++)
-            a->by[r][c] -= VH[0][r] * row->error_by[0][c] + VH[1][r] * row->error_by[1][c];
+    double v[2 * COLUMNS];
+    for (size_t k = 0; k < width; k++) {
+        const double e[2] = {k ? row->error_by[0][k - 1] : row->error[0],
+                             k ? row->error_by[1][k - 1] : row->error[1]};
+        double own[2];
+        weighted_error(row, e, own);
+        v[k] = own[0];
+        v[width + k] = own[1];
+    }
+    measurement_transposed(row, &a->lambda[0][0], COLUMNS, width, v);
+    for (int side = 0; side < 2; side++) {
+        measurement_transposed(row, &a->Lambda[0][0], FO_STATES, FO_STATES, NULL);
+        transpose(&a->Lambda[0][0]);
+    }
+    double H[2][FO_STATES] = {{0.0}};
+    for (int b = 0; b < 2; b++) {
+        H[b][0] = row->by_flux[b];
+        H[b][1] = row->by_flux[b + 1];
+        H[b][FO_ANGLE] = row->by_angle[b];
+        H[b][FO_NOISE + b] = 1.0;
+    }
+    for (int c = 0; c < FO_STATES; c++) {
+        const double e[2] = {H[0][c], H[1][c]};
+        double VH[2];
+        weighted_error(row, e, VH);
+        for (int r = 0; r < FO_STATES; r++) a->Lambda[r][c] += H[0][r] * VH[0] + H[1][r] * VH[1];
+    }
+}
+
+void fo_smooth_course(const fo_row *rows, size_t count, fo_course *out)
+{
+    double lambda[FO_STATES] = {0.0};
+    for (size_t n = count; n-- > 0;) {
+        const fo_row *row = rows + n;
+        if (n + 1 < count) transition_transposed(row, lambda, 1, 1);
+        double x[FO_OWN];
+        for (int s = 0; s < FO_OWN; s++) {
+            x[s] = row->own[s];
+            for (int r = 0; r < FO_STATES; r++) x[s] -= row->P[s][r] * lambda[r];
+        }
+        out[n].flux[0] = x[FO_FLUX];
+        out[n].flux[1] = x[FO_FLUX + 1];
+        out[n].angle = x[FO_ANGLE];
+        if (!row->measured) continue;
+        double v[2];
+        weighted_error(row, row->error, v);
+        measurement_transposed(row, lambda, 1, 1, v);
+    }
+}
+
+void fo_smooth_changes(const fo_row *rows, size_t count, double variance, const fo_course *course,
+                       double *out)
+{
+    adjoint a;
+    memset(&a, 0, sizeof a);
+    for (size_t n = count; n-- > 0;) {
+        /* Before its own transition, λ is that of the next row's state: the change has q λ. */
+        const double q = variance * course[n].unrest, l = a.lambda[FO_ACCELERATION][0];
+        out[n] = 1.0 - q * a.Lambda[FO_ACCELERATION][FO_ACCELERATION] + q * l * l;
+        if (n + 1 < count) pass_transition(rows + n, &a, 1);
+        if (rows[n].measured) pass_measurement(rows + n, &a, 1);
     }
 }
 
@@ -61,41 +145,44 @@ static double share_of_parameters(const double *by, const double *covariance)
 {
     double sum = 0.0;
     for (int r = 0; r < FO_UNKNOWNS; r++) {
-        double own_sum = 0.0;
-        for (int c = 0; c < FO_UNKNOWNS; c++) own_sum += covariance[r * FO_UNKNOWNS + c] * by[c];
-        sum += by[r] * own_sum;
+        double own = 0.0;
+        for (int c = 0; c < FO_UNKNOWNS; c++) own += covariance[r * FO_UNKNOWNS + c] * by[c];
+        sum += by[r] * own;
     }
     return sum;
 }
 
-void fo_smooth(const fo_row *rows, size_t count, const double *covariance, fo_smoothed *out)
+void fo_smooth(const fo_row *rows, size_t count, double sample_time, const double *parameters,
+               const double *covariance, fo_smoothed *out)
 {
+    static const int own[2] = {FO_ANGLE, FO_SPEED};
     adjoint a;
     memset(&a, 0, sizeof a);
     for (size_t n = count; n-- > 0;) {
         const fo_row *row = rows + n;
-        if (n + 1 < count) {
-            double F[FO_STATES][FO_STATES];
-            memcpy(F, row->F, sizeof F);
-            transform(F, &a);
-        }
-        double value[ANGLE_AND_SPEED], std[ANGLE_AND_SPEED];
-        for (int s = 0; s < ANGLE_AND_SPEED; s++) {
+        if (n + 1 < count) pass_transition(row, &a, COLUMNS);
+        double value[2], std[2];
+        for (int s = 0; s < 2; s++) {
             const double *P = row->P[own[s]];
-            double variance = P[own[s]], by[FO_UNKNOWNS];
-            value[s] = s ? row->speed : row->angle;
-            memcpy(by, row->state_by[s], sizeof by);
+            double variance = P[own[s]], x[COLUMNS];
+            x[0] = row->own[own[s]];
+            memcpy(x + 1, row->own_by[s], sizeof row->own_by[s]);
             for (int r = 0; r < FO_STATES; r++) {
                 double PL = 0.0;
                 for (int c = 0; c < FO_STATES; c++) PL += P[c] * a.Lambda[c][r];
                 variance -= PL * P[r];
-                value[s] -= P[r] * a.lambda[r];
-                for (int c = 0; c < FO_UNKNOWNS; c++) by[c] -= P[r] * a.by[r][c];
+                for (int c = 0; c < COLUMNS; c++) x[c] -= P[r] * a.lambda[r][c];
             }
-            if (covariance) variance += share_of_parameters(by, covariance);
+            if (s == 0) { /* The current is older than the row, and the angle is that of the row. */
+                const double turn = sample_time * row->own[FO_SPEED];
+                x[0] += parameters[FO_L_delay] * turn;
+                x[1 + FO_L_delay] += turn;
+            }
+            variance += share_of_parameters(x + 1, covariance);
+            value[s] = x[0];
             std[s] = sqrt(fmax(variance, 0.0));
         }
         out[n] = (fo_smoothed){value[0], std[0], value[1], std[1]};
-        if (row->measured) add_measurement(row, &a);
+        if (row->measured) pass_measurement(row, &a, COLUMNS);
     }
 }

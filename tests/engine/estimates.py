@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.likelihood import INDEX, UNKNOWNS, Array, Complex, N, Row, library, log_of, pointer
+from engine.likelihood import INDEX, UNKNOWNS, Array, Complex, Row, library, log_of, pointer
 from fluxobs.machines.model.frames import wrap
 
 NO_ESTIMATE = 1
@@ -17,7 +17,7 @@ TOLERANCES = (0.3, 0.15, 0.15)
 
 
 class NoEstimate(Exception):
-    """The likelihood cannot be evaluated at any start."""
+    """The likelihood cannot be evaluated: the log contradicts the start."""
 
 
 class File(ctypes.Structure):
@@ -28,6 +28,7 @@ class File(ctypes.Structure):
         for name in (
             *("R", "L_d", "L_q", "psi_f", "rated_current"),
             *("R_std", "L_std", "psi_std", "lag", "lag_std"),
+            *("delay_std", "iron_std", "heat_std", "offset_std", "gain_std"),
         )
     )
 
@@ -74,17 +75,44 @@ def file_of(
     rated_current: float,
     tolerances: tuple[float, float, float] = TOLERANCES,
     lag: tuple[float, float] = (0.0, 0.3),
+    voltage: float | None = None,
 ) -> File:
-    """Return a machine file with ordinary tolerances; `lag` is a prior: mean and std."""
-    return File(R, L_d, L_q, psi_f, rated_current, *tolerances, *lag)
+    """Return a machine file with ordinary tolerances; `lag` is a prior: mean and std [samples].
+
+    `voltage`: rms value of a drive with errors of its sensors, iron loss and heat; None: without.
+    """
+    file = File(R, L_d, L_q, psi_f, rated_current, *tolerances, *lag)
+    if voltage is not None:
+        file.delay_std, file.heat_std, file.gain_std = 0.2, 0.05, 0.01
+        file.iron_std, file.offset_std = 0.02 * rated_current / voltage, 0.01 * rated_current
+    return file
 
 
-def estimate(voltage: Complex, current: Complex, sample_time: float, file: File) -> Estimate:
-    """Estimate a log; NoEstimate if it contradicts every start."""
+def estimate(
+    voltage: Complex,
+    current: Complex,
+    sample_time: float,
+    file: File,
+    angle: Array,
+    parameters: dict[str, float] | None = None,
+) -> Estimate:
+    """Estimate a log from a course of the angle; NoEstimate if it contradicts the start.
+
+    `parameters`: where learning starts, instead of the machine file.
+    """
     rows, out = np.zeros(len(current), SMOOTHED), _Posterior()
+    begin = np.full(UNKNOWNS, np.nan)
+    for name, value in (parameters or {}).items():
+        begin[INDEX[name]] = value
+    course = np.ascontiguousarray(angle, float)
     with log_of(voltage, current, sample_time) as log:
         outcome = library().fo_estimate(
-            ctypes.byref(log), ctypes.byref(file), ctypes.byref(out), pointer(rows)
+            ctypes.byref(log),
+            ctypes.byref(file),
+            pointer(course),
+            pointer(begin),
+            ctypes.byref(out),
+            pointer(rows),
         )
     if outcome == NO_ESTIMATE:
         raise NoEstimate
@@ -101,15 +129,22 @@ def estimate(voltage: Complex, current: Complex, sample_time: float, file: File)
     )
 
 
-def smoothed(rows: NDArray[np.void], covariance: Array | None = None) -> NDArray[np.void]:
-    """Smooth rows that the filter kept."""
+def smoothed(
+    rows: NDArray[np.void],
+    sample_time: float,
+    parameters: Array | None = None,
+    covariance: Array | None = None,
+) -> NDArray[np.void]:
+    """Smooth rows that the filter kept; without a covariance, the parameters are exact."""
     kept = np.ascontiguousarray(rows)
     out = np.zeros(len(kept), SMOOTHED)
-    address = kept.ctypes.data_as(ctypes.POINTER(Row))
+    exact = np.zeros((UNKNOWNS, UNKNOWNS))
     library().fo_smooth(
-        address,
+        kept.ctypes.data_as(ctypes.POINTER(Row)),
         ctypes.c_size_t(len(kept)),
-        None if covariance is None else pointer(covariance),
+        ctypes.c_double(sample_time),
+        pointer(np.zeros(UNKNOWNS) if parameters is None else parameters),
+        pointer(exact if covariance is None else covariance),
         pointer(out),
     )
     return out
@@ -118,6 +153,3 @@ def smoothed(rows: NDArray[np.void], covariance: Array | None = None) -> NDArray
 def degrees(angle: Array, true: Array) -> Array:
     """Return the error of an angle [°]."""
     return np.degrees(wrap(angle - true))
-
-
-__all__ = ["Estimate", "File", "N", "degrees", "estimate", "file_of", "smoothed"]

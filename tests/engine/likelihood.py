@@ -27,9 +27,10 @@ N = len(NAMES)
 INDEX = {name: k for k, name in enumerate(NAMES)}
 #: Orders of the harmonics of the flux; each has two coefficients after the parameters.
 ORDERS = tuple(map(int, re.findall(r"ORDER\((-?\d+)\)", HEADER)))
-#: The last unknown is the first angle.
-UNKNOWNS = N + 2 * len(ORDERS) + 1
-STATES = 10
+UNKNOWNS = N + 2 * len(ORDERS)
+#: States of the filter; of them flux, angle and speed are kept.
+STATES, OWN = 9, 4
+ELEMENTS = 31
 NUMBERS = ctypes.POINTER(ctypes.c_double)
 
 
@@ -44,14 +45,19 @@ class Log(ctypes.Structure):
     )
 
 
+#: Where the model is linearised at a row; see engine/innovations.h.
+COURSE = np.dtype([("flux", float, 2), ("angle", float), ("unrest", float)])
+
+
 class Start(ctypes.Structure):
-    """The state at the first row, with standard deviations; see engine/innovations.h."""
+    """What is known before the first row: standard deviations; see engine/innovations.h."""
 
     _fields_ = (
-        *((name, ctypes.c_double) for name in ("angle", "angle_std", "speed", "speed_std")),
-        *((f"{name}_std", ctypes.c_double) for name in ("acceleration", "flux", "drift", "gain")),
+        *(
+            (f"{name}_std", ctypes.c_double)
+            for name in ("flux", "angle", "speed", "acceleration", "drift")
+        ),
         ("skipped", ctypes.c_size_t),
-        ("price", ctypes.c_double),
     )
 
 
@@ -59,16 +65,16 @@ class Row(ctypes.Structure):
     """What the filter knows at a row; see engine/innovations.h."""
 
     _fields_ = (
-        ("angle", ctypes.c_double),
-        ("speed", ctypes.c_double),
-        ("P", ctypes.c_double * STATES**2),
+        ("own", ctypes.c_double * OWN),
+        ("P", ctypes.c_double * (OWN * STATES)),
         ("error", ctypes.c_double * 2),
-        ("inverse", ctypes.c_double * 4),
+        ("inverse", ctypes.c_double * 3),
         ("K", ctypes.c_double * (2 * STATES)),
-        ("H", ctypes.c_double * (2 * STATES)),
-        ("F", ctypes.c_double * STATES**2),
+        ("by_flux", ctypes.c_double * 3),
+        ("by_angle", ctypes.c_double * 2),
+        ("F", ctypes.c_double * ELEMENTS),
         ("error_by", ctypes.c_double * (2 * UNKNOWNS)),
-        ("state_by", ctypes.c_double * (2 * UNKNOWNS)),
+        ("own_by", ctypes.c_double * (2 * UNKNOWNS)),
         ("measured", ctypes.c_bool),
     )
 
@@ -80,7 +86,6 @@ class _Likelihood(ctypes.Structure):
         ("information", ctypes.c_double * UNKNOWNS**2),
         ("mean_square", ctypes.c_double),
         ("counted", ctypes.c_size_t),
-        ("losses", ctypes.c_size_t),
     )
 
 
@@ -104,7 +109,6 @@ class Likelihood:
     score: Array
     information: Array
     mean_square: float
-    losses: int
     rows: NDArray[np.void]
 
 
@@ -120,26 +124,73 @@ def library(innovations: Path = ENGINE / "innovations.c") -> ctypes.CDLL:
     return loaded
 
 
+def all_parameters(parameters: Array) -> Array:
+    """Return the parameters, and zero harmonics if they are not given."""
+    p = np.zeros(UNKNOWNS)
+    p[: len(parameters)] = parameters
+    return p
+
+
+def course_of(current: Complex, angle: Array, parameters: Array) -> NDArray[np.void]:
+    """Return the course through these angles; its flux is that of the measured current."""
+    L_d, L_q, psi = (np.exp(parameters[INDEX[name]]) for name in ("L_d", "L_q", "psi_f"))
+    i = np.where(np.isfinite(current), current, 0) * np.exp(-1j * angle)
+    flux = (psi + L_d * i.real + 1j * L_q * i.imag) * np.exp(1j * angle)
+    course = np.ones(len(angle), COURSE)
+    course["flux"] = np.stack([flux.real, flux.imag], axis=1)
+    course["angle"] = angle
+    return course
+
+
 def likelihood(
     voltage: Complex,
     current: Complex,
     sample_time: float,
     parameters: Array,
+    course: NDArray[np.void],
     start: Start,
     own: ctypes.CDLL | None = None,
 ) -> Likelihood:
     """Evaluate a log at the parameters; AssertionError if a number is not finite."""
-    p = np.zeros(UNKNOWNS)
-    p[: len(parameters)] = parameters
     rows, out = (Row * len(current))(), _Likelihood()
     with log_of(voltage, current, sample_time) as log:
         done = (own or library()).fo_innovations(
-            ctypes.byref(log), pointer(p), ctypes.byref(start), ctypes.byref(out), rows
+            ctypes.byref(log),
+            pointer(course),
+            pointer(all_parameters(parameters)),
+            ctypes.byref(start),
+            ctypes.byref(out),
+            rows,
         )
     assert done, "the covariance is not positive, or a number is not finite"
     kept = np.frombuffer(rows, dtype=np.dtype(Row))
     n = UNKNOWNS
     information = np.array(out.information).reshape(n, n)
-    return Likelihood(
-        out.objective, np.array(out.score), information, out.mean_square, out.losses, kept
+    return Likelihood(out.objective, np.array(out.score), information, out.mean_square, kept)
+
+
+def smoothed_course(likelihood: Likelihood, course: NDArray[np.void]) -> NDArray[np.void]:
+    """Return the course of the smoothed rows, with the unrest of the given course."""
+    out, rows = course.copy(), np.ascontiguousarray(likelihood.rows)
+    library().fo_smooth_course(
+        rows.ctypes.data_as(ctypes.POINTER(Row)), ctypes.c_size_t(len(rows)), pointer(out)
     )
+    return out
+
+
+def settled(
+    voltage: Complex,
+    current: Complex,
+    sample_time: float,
+    parameters: Array,
+    course: NDArray[np.void],
+    start: Start,
+    own: ctypes.CDLL | None = None,
+    passes: int = 3,
+) -> tuple[Likelihood, NDArray[np.void]]:
+    """Evaluate a log about the course that its smoothing settles at."""
+    got = likelihood(voltage, current, sample_time, parameters, course, start, own)
+    for _ in range(passes):
+        course = smoothed_course(got, course)
+        got = likelihood(voltage, current, sample_time, parameters, course, start, own)
+    return got, course

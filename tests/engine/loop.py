@@ -55,15 +55,23 @@ class Record:
     angle: Array
 
 
-def simulated(conditions: Conditions, drives: int, seed: int = 0) -> Record:
-    """Simulate drives that differ in noise, speed and first angle."""
+def simulated(
+    conditions: Conditions, drives: int, seed: int = 0, jumps: Array | None = None
+) -> Record:
+    """Simulate drives that differ in noise, speed and first angle.
+
+    `jumps`: an acceleration of each row [rad/s²], besides the random walk.
+    """
     c, rng = conditions, np.random.default_rng(seed)
     h, rows = c.sample_time, round(c.duration / c.sample_time)
     white = rng.standard_normal((rows + c.moving_mean - 1, drives, 2)) @ [1, 1j]
     kernel = np.full(c.moving_mean, c.noise / np.sqrt(c.moving_mean))
     noise = sum(k * white[n : n + rows] for n, k in enumerate(kernel))
     steps = c.acceleration * np.sqrt(h) * rng.standard_normal((rows, drives))
-    speeds = SPEED + h * np.cumsum(np.cumsum(steps, axis=0), axis=0)
+    accelerations = np.cumsum(steps, axis=0)
+    if jumps is not None:
+        accelerations = accelerations + jumps[:, None]
+    speeds = SPEED + h * np.cumsum(accelerations, axis=0)
     angle = rng.uniform(0, 2 * np.pi, drives)
     drift = c.drift * (rng.standard_normal((drives, 2)) @ [1, 1j])
 

@@ -23,7 +23,7 @@ from numbers_data import Numbers  # noqa: E402
 
 from engine.likelihood import ENGINE, library  # noqa: E402
 from engine.loop import INTERIOR, SURFACE, Conditions  # noqa: E402
-from engine.scores import scores_at_the_truth  # noqa: E402
+from engine.scores import TESTED, scores_at_the_truth  # noqa: E402
 
 #: Machine, noise as a share of the rated current of 12 A, gain kp h / L, and lag. In the last case
 #: the sensor gives the mean of two samples.
@@ -40,9 +40,9 @@ RATED = 12.0
 #: Lines of the source with a deliberate error.
 ERRORS = {
     "regressor from the measured current": (
-        ("static void move_state(", "static const double *measured;\nstatic void move_state("),
-        ("        advance(log->", "        measured = i;\n        advance(log->"),
-        ("fo_turned(p.current, p.unit)", "fo_constant_pair(measured[0], measured[1])"),
+        ("static void move_flux(", "static const double *measured;\nstatic void move_flux("),
+        ("        advance(&m, &t", "        measured = i;\n        advance(&m, &t"),
+        ("a ? e->mean.b : e->mean.a;", "fo_constant(measured[a]);"),
     ),
     "∂ ln det S left out": (("square.d[k + 1] + z->det.d[k + 1] * inverse", "square.d[k + 1]"),),
 }
@@ -87,7 +87,7 @@ def main() -> None:
         for cells in rows(drives):
             print("\t".join(cells), flush=True)
             made.append(cells)
-        header = ["", "R", "L_d", "L_q", "ψ", "loss", "lag", "noise", "acceleration", "g"]
+        header = ["", *TESTED]
         numbers.table("scores", header, made)
         numbers.value("drives", drives)
 

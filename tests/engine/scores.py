@@ -7,15 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from engine.likelihood import INDEX, Array, N, Start, likelihood
-from engine.loop import SPEED, Conditions, Record, simulated
+from engine.likelihood import INDEX, Array, N, Start, course_of, settled
+from engine.loop import Conditions, simulated
 
 #: Parameters whose score must have mean zero.
 TESTED = (
-    *("resistance", "L_d", "L_q", "psi_f", "loss", "lag"),
-    *("noise", "acceleration", "colour_gain"),
+    *("resistance", "L_d", "L_q", "psi_f", "loss", "lag", "iron_loss", "heat"),
+    *("offset_alpha", "gain_re", "noise", "acceleration", "colour_gain"),
 )
-SKIPPED = 300
+#: Rows until the innovations count, and the error of the course at first [rad].
+SKIPPED, ERROR = 300, 0.05
+#: The state at the first row is hardly known.
+START = Start(4e-2, 1.8, 3e2, 1e4, 0.05, SKIPPED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +44,8 @@ def parameters_of(c: Conditions) -> Array:
     p = np.zeros(N)
     given = {"resistance": c.R, "L_d": c.L_d, "L_q": c.L_q, "psi_f": c.psi, "noise": c.noise}
     given |= {"acceleration": c.acceleration, "voltage": 1e-6, "drift": 1e-3}
-    given |= {"gain": 1e-6, "knee": 1.0}
+    given |= {"loss": 1e-6, "knee": 1.0}
+    p[INDEX["colour_gain"]] = 1e-9  # not zero: the filter keeps the states of coloured noise
     if c.moving_mean == 2:  # n = (w + w before) / √2
         given["noise"] /= np.sqrt(2)
         p[INDEX["colour_gain"]] = 1.0
@@ -51,34 +55,15 @@ def parameters_of(c: Conditions) -> Array:
     return p
 
 
-def starts(record: Record, drift: float, seed: int = 5) -> list[Start]:
-    """Return a start near each true angle, with its standard deviation."""
-    rng = np.random.default_rng(seed)
-    return [
-        Start(
-            angle=first + 0.03 * rng.standard_normal(),
-            angle_std=0.03,
-            speed=SPEED + 10.0 * rng.standard_normal(),
-            speed_std=10.0,
-            flux_std=4e-4,
-            drift_std=drift,
-            acceleration_std=0.0,
-            gain_std=0.0,
-            skipped=SKIPPED,
-        )
-        for first in record.angle[0]
-    ]
-
-
 def scores_at_the_truth(
     c: Conditions, drives: int, own: CDLL | None = None, seed: int = 1
 ) -> Scores:
     """Simulate drives, and evaluate the score of each drive."""
-    record = simulated(c, drives, seed)
-    begin, p = starts(record, c.drift), parameters_of(c)
-    done = [
-        likelihood(record.voltage[:, k], record.current[:, k], c.sample_time, p, begin[k], own=own)
-        for k in range(drives)
-    ]
+    record, p = simulated(c, drives, seed), parameters_of(c)
+    done = []
+    for k in range(drives):
+        current, angle = record.current[:, k], record.angle[:, k]
+        course = course_of(current, angle + ERROR, p)
+        done.append(settled(record.voltage[:, k], current, c.sample_time, p, course, START, own)[0])
     information = np.mean([one.information for one in done], axis=0)
     return Scores(np.array([one.score for one in done]), np.asarray(information))
