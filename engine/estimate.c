@@ -6,13 +6,13 @@
 
 enum {
     SKIPPED = 20,     /* rows until innovations count: the first speed is rough */
-    LEVELS = 15,      /* evaluations of the first stage, at most */
+    FIRST = 30,       /* evaluations of the first stage, at most */
     MOST = 60,        /* of the second */
     LAST = 40         /* of the third: what is left of the unrest hardly moves the rest */
 };
 /* Half squares: a stage ends when a step is expected to gain less. A parameter that is d standard
  * deviations off costs d²/2, so it remains within 0.3 of them. */
-static const double rough = 20.0, coarse = 2.0, fine = 0.05;
+static const double rough = 5.0, coarse = 2.0, fine = 0.05;
 
 /* Root mean square of the voltages. */
 static double mean_voltage(const fo_log *record)
@@ -107,19 +107,20 @@ static void set_course(const fo_log *record, const double *angle, const double *
     }
 }
 
-/* Levels first, about the given course, then all but the mobility, which moves when the rest is nearly
+/* First levels, the loss and the offsets, about the given course, then all but the mobility, which moves when the rest is nearly
  * right, then all, with the unrest of the acceleration, which takes its level along. */
 static bool learn(const fo_log *record, const fo_start *start, const fo_prior *prior,
                   fo_course *course, fo_row *rows, double *changes, fo_posterior *out)
 {
-    bool levels[FO_L] = {false}, most[FO_L], last[FO_L];
-    levels[FO_L_noise] = levels[FO_L_acceleration] = levels[FO_L_voltage] = levels[FO_L_drift] =
-        true;
+    bool some[FO_L] = {false}, most[FO_L], last[FO_L];
+    static const int early[] = {FO_L_noise, FO_L_acceleration, FO_L_voltage, FO_L_drift,
+                                FO_L_loss, FO_L_knee, FO_L_offset_alpha, FO_L_offset_beta};
+    for (size_t k = 0; k < sizeof early / sizeof *early; k++) some[early[k]] = true;
     for (int k = 0; k < FO_L; k++) {
         most[k] = k != FO_L_mobility;
         last[k] = k != FO_L_acceleration;
     }
-    const fo_stage stages[3] = {{levels, rough, LEVELS, false, false},
+    const fo_stage stages[3] = {{some, rough, FIRST, false, false},
                                 {most, coarse, MOST, true, false},
                                 {last, fine, LAST, true, true}};
     fo_prior first = *prior;

@@ -8,11 +8,15 @@ The measured logs are those of benchmarks/measured.py; without them, their table
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import repeat
+from multiprocessing import get_context
 from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import polars as pl
@@ -24,9 +28,11 @@ from common import MEASURED  # noqa: E402
 from measured import LAYOUT, MACHINE, Q8  # noqa: E402
 from numbers_data import Numbers  # noqa: E402
 
-from engine.estimates import Estimate, degrees, estimate, file_of  # noqa: E402
+from engine.estimates import Estimate, degrees  # noqa: E402
 from engine.likelihood import Array  # noqa: E402
 from engine.loop import INTERIOR, SURFACE, Conditions, simulated  # noqa: E402
+from engine.starts import rms, started  # noqa: E402
+from fluxobs import InteriorPMSM, SurfacePMSM  # noqa: E402
 
 RATED = 12.0
 #: Name and conditions of the closed loops; files are 10 to 20 % wrong.
@@ -51,13 +57,22 @@ PARTS = [[(k, k + n) for k in range(0, 4000, n)] for n in (2000, 1000)]
 def squares(c: Conditions, drives: int) -> list[dict[str, float]]:
     """Return (error/σ)² of each drive, and the error of L_q in percent."""
     record = simulated(c, drives, seed=11)
-    lag = (1.0, 0.3) if c.lag else (0.0, 0.3)
-    file = file_of(1.15 * c.R, 0.8 * c.L_d, 0.8 * c.L_q, 1.1 * c.psi, RATED, lag=lag)
+    given = {"R_s": 1.15 * c.R, "psi_f": 1.1 * c.psi, "n_p": 4, "rated_current": RATED}
+    machine = (
+        SurfacePMSM(**given, L_s=0.8 * c.L_d)
+        if c.L_d == c.L_q
+        else InteriorPMSM(**given, L_d=0.8 * c.L_d, L_q=0.8 * c.L_q)
+    )
     true = {"R": c.R, "L_d": c.L_d, "L_q": c.L_q, "psi_f": c.psi}
     names = {"R": "resistance"}
-    with ProcessPoolExecutor() as pool:
+    # JAX has threads, which a forked process must not inherit.
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
         done = list(
-            pool.map(estimate, record.voltage.T, record.current.T, repeat(1e-4), repeat(file))
+            pool.map(
+                started,
+                *(record.voltage.T, record.current.T, repeat(1e-4), repeat(machine)),
+                *(repeat(RATED), repeat((float(c.lag), 0.3))),
+            )
         )
     rows = []
     for k, e in enumerate(done):
@@ -66,7 +81,7 @@ def squares(c: Conditions, drives: int) -> list[dict[str, float]]:
         row = {
             "position": float(np.mean((error / np.degrees(e.rows["angle_std"])) ** 2)),
             "speed": float(np.mean(((e.rows["speed"] - speed) / e.rows["speed_std"]) ** 2)),
-            "rms": float(np.sqrt(np.mean(error**2))),
+            "rms": rms(error),
             "L_q error": float(100 * (np.exp(e.value("L_q")) / c.L_q - 1)),
         }
         for name, value in true.items():
@@ -96,12 +111,11 @@ def part(path: Path, rows: tuple[int, int]) -> tuple[Array, Estimate]:
     table = pl.read_csv(path)
     u, i = (table.select(f"{x}_a", f"{x}_b").to_numpy() @ [1, 1j] * Q8 for x in "ui")
     true = MACHINE.n_p * Q8 * table["AngMes"].to_numpy()
-    own, R, L = slice(*rows), MACHINE.R_s, MACHINE.L_s
-    # The voltages act a row later than the log says.
-    delayed = np.concatenate([u[:1], u[:-1]])[own]
+    own = slice(*rows)
     # The published data have no rated current: four times the std of the current.
-    file = file_of(R, L, L, MACHINE.psi_f, float(4 * np.std(i[own])))
-    done = estimate(delayed, i[own], float(LAYOUT["sample_time"]), file)
+    rated, h = float(4 * np.std(i[own])), float(LAYOUT["sample_time"])
+    # The voltages act a row later than the log says.
+    done = started(u[own], i[own], h, MACHINE, rated, (1.0, 0.1), ordinary=True)
     return degrees(done.rows["angle"], true[own]), done
 
 
@@ -114,7 +128,7 @@ def measured_row(path: Path) -> list[str]:
     L = 1e3 * np.exp(whole.value("L_d"))
     return [
         path.stem,
-        f"{np.sqrt(np.mean(error**2)):.2f}°",
+        f"{rms(error):.2f}°",
         f"{error.mean():+.2f}°",
         f"{np.abs(error).max():.1f}°",
         f"{halves:.1f}°",
@@ -142,13 +156,13 @@ def main() -> None:
         if not paths:
             print(f"skipped: no measured logs in {MEASURED}")
             return
-        with ProcessPoolExecutor() as pool:
+        with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
             logs = list(pool.map(measured_row, paths))
         for row in logs:
             print("\t".join(row))
         numbers.table("measured", MEASURED_HEADER, logs)
-        rms = [float(row[1].removesuffix("°")) for row in logs]
-        numbers.value("mean", np.mean(rms), "{:.2f}°")
+        mean = np.mean([float(row[1].removesuffix("°")) for row in logs])
+        numbers.value("mean", mean, "{:.2f}°")
 
 
 if __name__ == "__main__":

@@ -30,8 +30,8 @@ from engine.scores import START, parameters_of
 H = 1e-4
 #: Index of the angle among the states.
 ANGLE = 2
-#: Of the likelihood: levels, the rest with its bases, the unrest.
-MOST_EVALUATIONS = 15 + 2 * 60 + 40
+#: Of the likelihood: levels, loss and offsets, the rest with its bases, the unrest.
+MOST_EVALUATIONS = 30 + 2 * 60 + 40
 #: Drives of a kind. The mean of (error/σ)² over them scatters by about √(2/12) in each drive.
 DRIVES = 4
 KINDS = {"surface": SURFACE, "interior": INTERIOR}

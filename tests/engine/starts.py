@@ -1,0 +1,62 @@
+"""Where the engine starts: the course and parameters of the whole-log estimate of today."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import fluxobs
+from engine.estimates import Estimate, estimate, file_of
+from engine.likelihood import Array, Complex
+from fluxobs import InteriorPMSM, SurfacePMSM
+
+Machine = SurfacePMSM | InteriorPMSM
+
+
+def inductances(machine: Machine) -> tuple[float, float]:
+    """Return L_d and L_q [H]."""
+    if isinstance(machine, SurfacePMSM):
+        return machine.L_s, machine.L_s
+    return machine.L_d, machine.L_q
+
+
+def started(
+    voltage: Complex,
+    current: Complex,
+    sample_time: float,
+    machine: Machine,
+    rated_current: float,
+    lag: tuple[float, float],
+    ordinary: bool = False,
+) -> Estimate:
+    """Estimate a log as `fluxobs.estimate` does, and from there with the engine.
+
+    Parameters
+    ----------
+    lag : (float, float)
+        That the voltages act later than the log says: mean and std [samples].
+    ordinary : bool
+        The drive has errors of its sensors, iron loss and heat.
+    """
+    first = fluxobs.estimate(
+        (voltage, current), machine, sample_time=sample_time, lag=-lag[0] + 0.0
+    )
+    angle, known = np.array(first["theta_e"]), np.isfinite(first["theta_e"])
+    rows = np.arange(len(angle))
+    angle = np.interp(rows, rows[known], np.unwrap(angle[known]))
+    assert machine.psi_f is not None
+    volts = float(np.sqrt(np.nanmean(np.abs(voltage) ** 2)))
+    parameters = {
+        "resistance": np.log(max(first["resistance"][-1], 0.3 * machine.R_s)),
+        "psi_f": np.log(max(first["psi_f"][-1], 0.3 * machine.psi_f)),
+        "loss": np.log(max(first["inverter_voltage"][-1], 1e-3 * volts)),
+    }
+    file = file_of(
+        *(machine.R_s, *inductances(machine), machine.psi_f, rated_current),
+        lag=lag,
+        voltage=volts if ordinary else None,
+    )
+    return estimate(voltage, current, sample_time, file, angle, parameters)
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
