@@ -36,16 +36,17 @@ from fluxobs import InteriorPMSM, SurfacePMSM  # noqa: E402
 
 RATED = 12.0
 #: Name and conditions of the closed loops; files are 10 to 20 % wrong.
+LOSSY = replace(SURFACE, loss=0.05)
 LOOPS = {
-    "surface": SURFACE,
-    "interior": INTERIOR,
+    "surface": LOSSY,
+    "interior": replace(INTERIOR, loss=0.05),
     **{
         f"surface, encoder, noise {share} %": replace(
-            SURFACE, noise=RATED * share / 100, encoder=True
+            LOSSY, noise=RATED * share / 100, encoder=True
         )
         for share in (0.08, 0.25, 0.8)
     },
-    "surface, encoder, lag −1": replace(SURFACE, lag=1, bandwidth=0.2, encoder=True),
+    "surface, encoder, lag −1": replace(LOSSY, lag=1, bandwidth=0.2, encoder=True),
 }
 LOOP_HEADER = ("", "rms", "position", "speed", "R", "L_d", "L_q", "ψ", "mean error of L_q")
 MEASURED_HEADER = ("log", "rms", "mean", "largest", "in halves", "in quarters", "L", "ψ")

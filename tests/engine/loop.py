@@ -27,7 +27,8 @@ class Conditions:
 
     `bandwidth` is kp h / L of the current controller; `moving_mean` the number of samples over
     which the sensor's noise is averaged; `drift` the std of a component of the logged
-    voltages' constant error.
+    voltages' constant error; `loss` and `knee` the inverter's: V_d tanh(i/knee) of each phase, of
+    which the controller knows nothing.
     """
 
     R: float = 0.36
@@ -44,6 +45,8 @@ class Conditions:
     moving_mean: int = 1
     drift: float = 0.05
     encoder: bool = False
+    loss: float = 0.0
+    knee: float = 0.36
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +100,7 @@ def simulated(
         record.angle[k] = angle
         applied, before = (before if c.lag else voltage), voltage
         own.integrate(applied, measured)
-        flux = _through(flux, angle, speeds[k], applied, h, c.R, current_of)
+        flux = _through(flux, angle, speeds[k], applied, c, current_of)
         angle = angle + h * speeds[k]
     return record
 
@@ -139,17 +142,17 @@ def _through(
     angle: Array,
     speed: Array,
     voltage: Complex,
-    h: float,
-    R: float,
+    c: Conditions,
     current_of: Callable[[Complex], Complex],
 ) -> Complex:
     """Return the flux in rotor coordinates after an interval (Runge–Kutta, fourth order)."""
 
     def slope(x: Complex, t: float) -> Complex:
-        u = voltage * np.exp(-1j * (angle + speed * t))
-        return u - R * current_of(x) - 1j * speed * x
+        i, turn = current_of(x), np.exp(1j * (angle + speed * t))
+        lost = c.loss * _signs(i * turn, c.knee) if c.loss else 0.0
+        return (voltage - lost) * np.conj(turn) - c.R * i - 1j * speed * x
 
-    g = h / SUBSTEPS
+    g = c.sample_time / SUBSTEPS
     for n in range(SUBSTEPS):
         t = n * g
         k1 = slope(flux, t)
@@ -158,6 +161,14 @@ def _through(
         k4 = slope(flux + g * k3, t + g)
         flux = flux + g / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return flux
+
+
+def _signs(current: Complex, knee: float) -> Complex:
+    """Return the smoothed signs of the phase currents as a vector."""
+    return sum(  # type: ignore[return-value]
+        2 / 3 * phase * np.tanh((current * np.conj(phase)).real / knee)
+        for phase in np.exp(2j * np.pi / 3 * np.arange(3))
+    )
 
 
 SURFACE = Conditions()
