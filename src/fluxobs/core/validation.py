@@ -11,9 +11,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ..errors import UsageError
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+#: Limits of a quantity in SI units. Firmware computes in single precision: the square of a value
+#: must be neither zero nor infinite, also times another such value.
+LEAST, LARGEST = 1e-12, 1e12
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=LEAST, le=LARGEST, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
 
 
 class Table(BaseModel):
@@ -59,6 +62,13 @@ def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
                 clauses.append(f"unknown field {name!r}{nearest(name, fields)}")
             case "greater_than":
                 clauses.append(f"{name} must be positive, got {value}")
+            case "greater_than_equal":
+                limit = problem["ctx"]["ge"]
+                positive = limit == LEAST and isinstance(value, Real) and value <= 0
+                words = "positive" if positive else f"at least {limit:g}"
+                clauses.append(f"{name} must be {words}, got {value}")
+            case "less_than_equal":
+                clauses.append(f"{name} must be at most {problem['ctx']['le']:g}, got {value}")
             case "value_error":
                 message = problem["msg"].removeprefix("Value error, ")
                 clauses.append(message if not name or name in message else f"{name}: {message}")

@@ -29,7 +29,8 @@ from .saturation import (
     read_source,
 )
 
-PolePairs = Annotated[int, Field(ge=1)]
+#: No machine has more than a few hundred.
+PolePairs = Annotated[int, Field(ge=1, le=1000)]
 
 
 class RotatingMachine(Machine):
