@@ -48,6 +48,10 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {matches[0]!r}?" if matches else f"; known: {', '.join(known)}"
 
 
+def _short(limit: float) -> str:
+    return str(limit) if isinstance(limit, int) else f"{limit:g}"
+
+
 def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
     """Return one clause per problem. `what` names the owner of the fields: "kind surface-pmsm"."""
     fields = list(fields)
@@ -65,10 +69,11 @@ def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
             case "greater_than_equal":
                 limit = problem["ctx"]["ge"]
                 positive = limit == LEAST and isinstance(value, Real) and value <= 0
-                words = "positive" if positive else f"at least {limit:g}"
+                words = "positive" if positive else f"at least {_short(limit)}"
                 clauses.append(f"{name} must be {words}, got {value}")
             case "less_than_equal":
-                clauses.append(f"{name} must be at most {problem['ctx']['le']:g}, got {value}")
+                limit = _short(problem["ctx"]["le"])
+                clauses.append(f"{name} must be at most {limit}, got {value}")
             case "value_error":
                 message = problem["msg"].removeprefix("Value error, ")
                 clauses.append(message if not name or name in message else f"{name}: {message}")
