@@ -1,11 +1,18 @@
 """Files that hold a log in an awkward form: read, or refused with the way out."""
 
+import bz2
+import gzip
+import io
+import lzma
+import zipfile
+
 import numpy as np
 import polars as pl
 import pytest
 
 import fluxobs
 from fluxobs.errors import RecordError
+from fluxobs.logs.formats import open_tables
 from support.records import SMALL_LOG
 
 
@@ -50,3 +57,40 @@ def test_a_realtime_log_of_vesc_is_refused(tmp_path):
     path.write_text("\n".join(lines))
     with pytest.raises(RecordError, match=r"polled at some ten hertz.*Use Sampled Data instead"):
         fluxobs.read_log(path)
+
+
+TEXT = "t,u_a,u_b,i_a,i_b\n" + "".join(f"{n}e-4,1.0,2.0,{n},4.0\n" for n in range(20))
+
+
+def zipped(data: bytes) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("log.csv", data)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (gzip.compress, "compressed by gzip: unpack it, or name it .gz"),
+        (bz2.compress, "compressed by bzip2: unpack it"),
+        (lzma.compress, "compressed by xz: unpack it"),
+        (zipped, "compressed by zip: unpack it"),
+        (lambda data: b"\x28\xb5\x2f\xfd" + data, "compressed by zstd: unpack it"),
+        (lambda data: data.decode().encode("utf-32"), "text in UTF-32: save it as UTF-8"),
+        (lambda data: data.replace(b"\n", b"\r"), "a carriage return only"),
+    ],
+    ids=["gzip", "bzip2", "xz", "zip", "zstd", "UTF-32", "CR"],
+)
+def test_files_that_only_look_like_text_are_refused_with_the_remedy(tmp_path, made, message):
+    (tmp_path / "log.csv").write_bytes(made(TEXT.encode()))
+    with pytest.raises(RecordError, match=message):
+        open_tables(tmp_path / "log.csv")
+
+
+def test_a_longer_row_below_the_names_is_named(tmp_path):
+    """The row itself, not the row after it."""
+    first, *others = TEXT.splitlines(keepends=True)
+    (tmp_path / "log.csv").write_text(first + "0,1,2,3,4,5,6\n" + "".join(others))
+    with pytest.raises(RecordError, match="line 2: it has 7 cells, the lines below have 5"):
+        open_tables(tmp_path / "log.csv")

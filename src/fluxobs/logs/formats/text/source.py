@@ -26,6 +26,14 @@ HEAD = 1 << 22
 BETWEEN = ("#", "%")
 #: Characters that a line without values may contain.
 EMPTY = " \t\r\n,;|"
+#: First bytes of compressed files → program that unpacks them.
+_COMPRESSED = {
+    b"\x1f\x8b": "gzip",
+    b"\xfd7zXZ\x00": "xz",
+    b"BZh": "bzip2",
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"PK\x03\x04": "zip",
+}
 #: Bytes parsed at once: about ten thousand rows.
 BLOCK = 1 << 22
 #: Columns of files below this size [bytes] are parsed once and kept: a run reads a log five times.
@@ -60,6 +68,7 @@ def encoding_of(path: Path) -> str:
     """
     with open_bytes(path) as file:
         head = file.read(END)
+    _refuse(path, head)
     if head.startswith(b"\xef\xbb\xbf"):
         return "utf-8-sig"
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -77,6 +86,20 @@ def encoding_of(path: Path) -> str:
     except UnicodeDecodeError:
         return "cp1252"
     return "utf-8"
+
+
+def _refuse(path: Path, head: bytes) -> None:
+    """Raise RecordError for files that must be changed before they can be read as text."""
+    for magic, program in _COMPRESSED.items():
+        if head.startswith(magic):
+            remedy = "unpack it, or name it .gz" if program == "gzip" else "unpack it"
+            raise RecordError(f"{path}: this file is compressed by {program}: {remedy}")
+    if head.startswith((b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff")):
+        raise RecordError(f"{path}: this is text in UTF-32: save it as UTF-8")
+    if b"\n" not in head and head.count(b"\r") > 1:
+        raise RecordError(
+            f"{path}: its lines end with a carriage return only: save it with line feeds"
+        )
 
 
 def first_lines(path: Path, encoding: str) -> list[str]:

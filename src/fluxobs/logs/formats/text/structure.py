@@ -320,6 +320,7 @@ class _Header:
         if self.keyed is not None:
             return [cell or f"column {n + 1}" for n, cell in enumerate(self.keyed)]
         if self.names_line < 0:
+            self._refuse_longer_row(where)
             row = self.lines[self.first].strip() if self.first < len(self.lines) else ""
             raise RecordError(
                 f"{where}, line {self.first + 1}: expected a header with column names, found "
@@ -337,6 +338,18 @@ class _Header:
             labels.get(n, cell) if _NUMBERED_NAME.match(cell) else cell or f"column {n + 1}"
             for n, cell in enumerate(cells)
         ]
+
+    def _refuse_longer_row(self, where: str) -> None:
+        """Raise RecordError if the line above the rows is one of them, with other cells."""
+        n = self.first - 1
+        if n < 1 or n >= len(self.lines):
+            return
+        cells = self._cells(n)
+        if len(cells) > 1 and all(is_number(cell) for cell in cells if cell):
+            raise RecordError(
+                f"{where}, line {n + 1}: it has {len(cells)} cells, the lines below have "
+                f"{self.width}. Correct or remove it"
+            )
 
     def _labels(self) -> dict[int, str]:
         """Return column → label, from the labels that the user of an instrument has set."""
