@@ -408,27 +408,30 @@ typedef struct {
 } interval;
 
 /* The electrical part of an interval. Flux and current change within it: with X = h (R + S') ∂i/∂λ the
- * current at its end counts w₁ = ½ + x/12 in its mean (the series of 1/(1 − e^{−x}) − 1/x), and
- * λ⁺ = λ̄⁺ + M r with M = (1 + w₁ X)⁻¹. */
+ * current at its end counts W = ½ + Xᵀ/12 in its mean (the series of 1/(1 − e^{−x}) − 1/x), and
+ * λ⁺ = λ̄⁺ + M r with M = (1 + X/2 + X²/12)⁻¹: the flux decays by the Padé approximation of e^{−X}. */
 typedef struct {
-    fo_dual weight;        /* w₁ */
+    fo_dual W[2][2];
     fo_dual R;             /* now [Ω] */
     fo_dual slope[2][2];   /* h (R + S') */
-    fo_dual X[2][2], M[2][2];
+    fo_dual half[2][2];    /* X/2 − X²/12 */
+    fo_dual M[2][2];
     fo_pair mean;          /* mean current of the course */
     signs sign;
 } electrical;
 
 /* Mean of the course's current: its ends, weighted, less a twelfth of its second difference, by which
  * ∂i/∂θ and ∂i/∂λ turn with the rotor. */
-static fo_pair mean_current(const interval *t, fo_dual weight)
+static fo_pair mean_current(const interval *t, fo_dual W[2][2])
 {
+    const fo_dual step[2] = {fo_sub(t->next->terminal.a, t->at->terminal.a),
+                             fo_sub(t->next->terminal.b, t->at->terminal.b)};
     const double turn = t->to->angle - t->from->angle;
     const double change[2] = {t->to->flux[A] - t->from->flux[A], t->to->flux[B] - t->from->flux[B]};
     fo_dual mean[2];
     for (int a = 0; a < 2; a++) {
-        const fo_dual from = a ? t->at->terminal.b : t->at->terminal.a;
-        mean[a] = fo_mac(from, weight, fo_sub(a ? t->next->terminal.b : t->next->terminal.a, from));
+        mean[a] = a ? t->at->terminal.b : t->at->terminal.a;
+        for (int b = 0; b < 2; b++) fo_accumulate(&mean[a], &W[a][b], &step[b]);
         fo_dual bend = fo_scale(turn, fo_sub(t->next->by_angle[a], t->at->by_angle[a]));
         for (int b = 0; b < 2; b++)
             bend = fo_axpy(bend, change[b], fo_sub(t->next->by_flux[a][b], t->at->by_flux[a][b]));
@@ -458,15 +461,15 @@ static electrical electrical_of(const model *m, const interval *t)
             e.slope[a][b] = fo_constant(t->h * m->loss * about.by_current[a][b]);
             if (a == b) e.slope[a][b] = fo_axpy(e.slope[a][b], t->h, e.R);
         }
-    fo_dual by_flux[2][2];
+    fo_dual by_flux[2][2], X[2][2], square[2][2], whole[2][2];
     memcpy(by_flux, t->at->by_flux, sizeof by_flux);
-    matrix_product(e.slope, by_flux, e.X);
-    const fo_dual x = fo_scale(0.5, fo_add(e.X[A][A], e.X[B][B]));
-    e.weight = fabs(x.d[0]) < 4.0 ? fo_shift(0.5, fo_scale(1.0 / 12.0, x)) : fo_constant(0.8);
-    fo_dual whole[2][2];
+    matrix_product(e.slope, by_flux, X);
+    matrix_product(X, X, square);
     for (int a = 0; a < 2; a++)
         for (int b = 0; b < 2; b++) {
-            whole[a][b] = fo_mul(e.weight, e.X[a][b]);
+            e.W[a][b] = fo_shift(a == b ? 0.5 : 0.0, fo_scale(1.0 / 12.0, X[b][a]));
+            e.half[a][b] = fo_axpy(fo_scale(0.5, X[a][b]), -1.0 / 12.0, square[a][b]);
+            whole[a][b] = fo_axpy(fo_scale(0.5, X[a][b]), 1.0 / 12.0, square[a][b]);
             if (a == b) whole[a][b].d[0] += 1.0;
         }
     const fo_dual inverse =
@@ -475,7 +478,7 @@ static electrical electrical_of(const model *m, const interval *t)
     fo_product(&e.M[1][1], &whole[0][0], &inverse);
     e.M[0][1] = fo_scale(-1.0, fo_mul(whole[0][1], inverse));
     e.M[1][0] = fo_scale(-1.0, fo_mul(whole[1][0], inverse));
-    e.mean = mean_current(t, e.weight);
+    e.mean = mean_current(t, e.W);
     e.sign = signs_of(m, e.mean.a.d[0], e.mean.b.d[0]);
     return e;
 }
@@ -489,12 +492,14 @@ static void move_flux(const model *m, const interval *t, const electrical *e, st
                          t->now[B] + m->lag * (t->before[B] - t->now[B])};
     const fo_dual flux[2] = {fo_shift(-t->from->flux[A], x->x[FO_FLUX]),
                              fo_shift(-t->from->flux[B], x->x[FO_FLUX + 1])};
-    /* The angle's deviation from the course, as the mean current sees it. */
-    const double step = t->to->angle - t->from->angle;
-    const fo_dual angle = fo_mac(fo_shift(-t->from->angle, x->x[FO_ANGLE]), e->weight,
-                                 fo_shift(-step, fo_scale(h, x->x[FO_SPEED])));
-    const fo_dual before = fo_shift(1.0, fo_scale(-1.0, e->weight)); /* w₀ */
-    fo_dual r[2], by_angle[2];
+    /* Deviations of the angle from the course, at the first row and until the next. */
+    const fo_dual angle = fo_shift(-t->from->angle, x->x[FO_ANGLE]);
+    const fo_dual step = fo_shift(t->from->angle - t->to->angle, fo_scale(h, x->x[FO_SPEED]));
+    fo_dual r[2], by_angle[2], by_step[2], late[2];
+    for (int a = 0; a < 2; a++) {
+        fo_product(&late[a], &e->W[a][A], &p->by_angle[A]);
+        fo_accumulate(&late[a], &e->W[a][B], &p->by_angle[B]);
+    }
     for (int a = 0; a < 2; a++) {
         const fo_dual i = a ? e->mean.b : e->mean.a;
         r[a] = fo_shift(h * u[a] - t->to->flux[a], x->x[FO_FLUX + a]);
@@ -506,20 +511,22 @@ static void move_flux(const model *m, const interval *t, const electrical *e, st
                                         e->sign.by_current[a][B] * e->mean.b.d[k]);
         fo_product(&by_angle[a], &e->slope[a][A], &p->by_angle[A]);
         fo_accumulate(&by_angle[a], &e->slope[a][B], &p->by_angle[B]);
+        fo_product(&by_step[a], &e->slope[a][A], &late[A]);
+        fo_accumulate(&by_step[a], &e->slope[a][B], &late[B]);
         fo_reduce(&r[a], &by_angle[a], &angle);
-        for (int b = 0; b < 2; b++) {
-            const fo_dual half = fo_mul(before, e->X[a][b]);
-            fo_reduce(&r[a], &half, &flux[b]);
-        }
+        fo_reduce(&r[a], &by_step[a], &step);
+        for (int b = 0; b < 2; b++) fo_reduce(&r[a], &e->half[a][b], &flux[b]);
     }
-    const fo_dual ratio = fo_inverse(e->weight); /* (1 + w₁ X)⁻¹ (1 − w₀ X) = (M − w₀)/w₁ */
     for (int a = 0; a < 2; a++) {
         const fo_dual *M = e->M[a];
-        for (int b = 0; b < 2; b++)
-            put(F, fo_mul(a == b ? fo_sub(M[b], before) : M[b], ratio));
-        const fo_dual turning = fo_mac(fo_mul(M[A], by_angle[A]), M[B], by_angle[B]);
-        put(F, fo_scale(-1.0, turning));
-        put(F, fo_scale(-h, fo_mul(turning, e->weight)));
+        for (int b = 0; b < 2; b++) {
+            fo_dual kept = M[b];
+            fo_reduce(&kept, &M[A], &e->half[A][b]);
+            fo_reduce(&kept, &M[B], &e->half[B][b]);
+            put(F, kept);
+        }
+        put(F, fo_scale(-1.0, fo_mac(fo_mul(M[A], by_angle[A]), M[B], by_angle[B])));
+        put(F, fo_scale(-h, fo_mac(fo_mul(M[A], by_step[A]), M[B], by_step[B])));
         put(F, fo_scale(-h, M[A]));
         put(F, fo_scale(-h, M[B]));
         fo_dual moved = fo_shift(t->to->flux[a], fo_mul(M[A], r[A]));
@@ -577,7 +584,6 @@ static void move_sensitivity(const model *m, const interval *t, const electrical
                              const transition *F, double colour, sensitivity by)
 {
     const double h = t->h, turning = h * m->mobility.d[0], *course = t->from->flux;
-    const double late = e->weight.d[0], early = 1.0 - late;
     const prediction *p = t->at;
     sensitivity next;
     memset(next, 0, sizeof next);
@@ -589,7 +595,11 @@ static void move_sensitivity(const model *m, const interval *t, const electrical
     double r[2][COLUMNS];
     for (int j = 0; j < COLUMNS; j++) {
         double i[2];
-        for (int a = 0; a < 2; a++) i[a] = early * p->by[a][j] + late * t->next->by[a][j];
+        for (int a = 0; a < 2; a++) {
+            i[a] = p->by[a][j];
+            for (int b = 0; b < 2; b++)
+                i[a] += e->W[a][b].d[0] * (t->next->by[b][j] - p->by[b][j]);
+        }
         for (int a = 0; a < 2; a++) {
             r[a][j] = -h * (e->R.d[0] * i[a] + m->loss * (e->sign.by_current[a][A] * i[A] +
                                                           e->sign.by_current[a][B] * i[B]));

@@ -15,6 +15,7 @@ import polars as pl
 from polars.io.plugins import register_io_source
 
 from ..errors import FluxobsError
+from .forks import use_polars
 from .locks import is_at, lock
 
 Item = TypeVar("Item")
@@ -198,6 +199,7 @@ def write_rows(
         A frame raised it, the file cannot be written, another run is writing the file, or the file
         has appeared meanwhile and `force` is false.
     """
+    use_polars()
     failure: FluxobsError | None = None
     stop = threading.Event()
 

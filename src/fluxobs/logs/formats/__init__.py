@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
+from ...core.forks import use_polars
 from ...core.input_files import check_regular
 from ...errors import RecordError
 from .table import BATCH, Said, Table, missing_column, read_rows
@@ -58,7 +59,10 @@ def open_tables(path: str | Path, header: list[str] | None = None) -> list[Table
     ------
     RecordError
         The file is missing, unreadable or empty, or its library is not installed.
+    UsageError
+        The process was forked after it had read a file.
     """
+    use_polars()
     path = Path(path)
     if path.is_dir():
         raise RecordError(f"{path}: this is a folder, not a log")
