@@ -26,7 +26,7 @@ FLOOR = {
 WITHIN = {
     "core": (
         ("arrays", "printable", "validation"),
-        ("robust", "references", "input_files", "symlinks", "locks"),
+        ("robust", "references", "input_files", "symlinks", "locks", "forks"),
         ("engine", "hashing", "html", "output"),
     ),
     "machines": (("model",),),

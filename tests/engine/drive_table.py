@@ -121,10 +121,8 @@ def main() -> None:
     sources = ["engine/*.[ch]", "tests/engine/*.py", "src/fluxobs/benchmark/dr*.py"]
     rows, scores = [], []
     # JAX has threads, which a forked process must not inherit.
-    with (
-        Numbers(name, sources) as numbers,
-        ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool,
-    ):
+    pool = ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn"))
+    with Numbers(name, sources) as numbers, pool:
         for machine in MACHINES:
             drives = [
                 drive

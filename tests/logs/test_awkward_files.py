@@ -75,7 +75,7 @@ def zipped(data: bytes) -> bytes:
         (gzip.compress, "compressed by gzip: unpack it, or name it .gz"),
         (bz2.compress, "compressed by bzip2: unpack it"),
         (lzma.compress, "compressed by xz: unpack it"),
-        (zipped, "compressed by zip: unpack it"),
+        (zipped, "compressed by zip: unpack it, or name a spreadsheet .xlsx"),
         (lambda data: b"\x28\xb5\x2f\xfd" + data, "compressed by zstd: unpack it"),
         (lambda data: data.decode().encode("utf-32"), "text in UTF-32: save it as UTF-8"),
         (lambda data: data.replace(b"\n", b"\r"), "a carriage return only"),

@@ -11,9 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ..errors import UsageError
 
-#: Limits of a quantity in SI units. Firmware computes in single precision: the square of a value
-#: must be neither zero nor infinite, also times another such value.
-LEAST, LARGEST = 1e-12, 1e12
+#: Limits of a quantity in SI units, far beyond any machine: products of a dozen such numbers are
+#: neither zero nor infinite.
+LEAST, LARGEST = 1e-24, 1e24
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(ge=LEAST, le=LARGEST, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
@@ -48,10 +48,6 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {matches[0]!r}?" if matches else f"; known: {', '.join(known)}"
 
 
-def _short(limit: float) -> str:
-    return str(limit) if isinstance(limit, int) else f"{limit:g}"
-
-
 def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
     """Return one clause per problem. `what` names the owner of the fields: "kind surface-pmsm"."""
     fields = list(fields)
@@ -67,13 +63,13 @@ def complaints(error: ValidationError, fields: Iterable[str], what: str) -> str:
             case "greater_than":
                 clauses.append(f"{name} must be positive, got {value}")
             case "greater_than_equal":
-                limit = problem["ctx"]["ge"]
+                limit = float(problem["msg"].split(" ")[-1])
                 positive = limit == LEAST and isinstance(value, Real) and value <= 0
-                words = "positive" if positive else f"at least {_short(limit)}"
+                words = "positive" if positive else f"at least {limit:.9g}"
                 clauses.append(f"{name} must be {words}, got {value}")
             case "less_than_equal":
-                limit = _short(problem["ctx"]["le"])
-                clauses.append(f"{name} must be at most {limit}, got {value}")
+                limit = float(problem["msg"].split(" ")[-1])
+                clauses.append(f"{name} must be at most {limit:.9g}, got {value}")
             case "value_error":
                 message = problem["msg"].removeprefix("Value error, ")
                 clauses.append(message if not name or name in message else f"{name}: {message}")

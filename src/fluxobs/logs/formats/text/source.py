@@ -92,8 +92,11 @@ def _refuse(path: Path, head: bytes) -> None:
     """Raise RecordError for files that must be changed before they can be read as text."""
     for magic, program in _COMPRESSED.items():
         if head.startswith(magic):
-            remedy = "unpack it, or name it .gz" if program == "gzip" else "unpack it"
-            raise RecordError(f"{path}: this file is compressed by {program}: {remedy}")
+            other = {"gzip": ", or name it .gz", "zip": ", or name a spreadsheet .xlsx"}
+            raise RecordError(
+                f"{path}: this is not text but compressed by {program}: unpack it"
+                f"{other.get(program, '')}"
+            )
     if head.startswith((b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff")):
         raise RecordError(f"{path}: this is text in UTF-32: save it as UTF-8")
     if b"\n" not in head and head.count(b"\r") > 1:
