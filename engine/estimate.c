@@ -107,8 +107,9 @@ static void set_course(const fo_log *record, const double *angle, const double *
     }
 }
 
-/* First levels, the loss and the offsets, about the given course, then all but the mobility, which moves when the rest is nearly
- * right, then all, with the unrest of the acceleration, which takes its level along. */
+/* First levels, the loss and the offsets, about the given course; then all but the mobility, which
+ * moves when the rest is nearly right; then all, with the unrest of the acceleration, which takes its
+ * level along. */
 static bool learn(const fo_log *record, const fo_start *start, const fo_prior *prior,
                   fo_course *course, fo_row *rows, double *changes, fo_posterior *out)
 {

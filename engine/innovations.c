@@ -12,7 +12,7 @@ typedef struct {
     fo_dual noise, acceleration, voltage, drift; /* variances */
     double loss, inverse_knee, lag, iron, heat, offset[2], unequal[2];
     const double *harmonics; /* two coefficients of each order */
-    bool has_harmonics, is_coloured;
+    bool is_coloured;
 } model;
 
 /* Derivatives of the states by the parameters that change the means only: the gain is the same. */
@@ -61,7 +61,7 @@ const unsigned char fo_pattern[FO_ELEMENTS][2] = {
     {FO_NOISE, FO_NOISE}, {FO_NOISE, 0}, {FO_NOISE, 1}, {FO_NOISE, FO_ANGLE},
     {FO_NOISE + 1, FO_NOISE + 1}, {FO_NOISE + 1, 0}, {FO_NOISE + 1, 1}, {FO_NOISE + 1, FO_ANGLE}};
 
-/* An element, whether it has derivatives, and whether it is one. */
+/* An element; a constant one has no derivatives. */
 typedef struct {
     fo_dual value;
     bool constant;
@@ -105,8 +105,6 @@ static model model_of(const double p[FO_UNKNOWNS])
     m.unequal[A] = p[FO_L_gain_re];
     m.unequal[B] = p[FO_L_gain_im];
     m.harmonics = p + FO_L;
-    m.has_harmonics = false;
-    for (int k = 0; k < 2 * FO_ORDERS; k++) m.has_harmonics |= m.harmonics[k] != 0.0;
     m.is_coloured = p[FO_L_colour_pole] != 0.0 || p[FO_L_colour_gain] != 0.0;
     return m;
 }
@@ -483,17 +481,16 @@ static electrical electrical_of(const model *m, const interval *t)
     return e;
 }
 
-/* Flux after the interval, and its rows of the transition. */
-static void move_flux(const model *m, const interval *t, const electrical *e, state *x, transition *F)
+/* Flux after the interval, and its rows of the transition. `flux` and `angle`: deviations from the
+ * course before it. */
+static void move_flux(const model *m, const interval *t, const electrical *e, const fo_dual flux[2],
+                      fo_dual angle, state *x, transition *F)
 {
     const double h = t->h;
     const prediction *p = t->at;
     const double u[2] = {t->now[A] + m->lag * (t->before[A] - t->now[A]),
                          t->now[B] + m->lag * (t->before[B] - t->now[B])};
-    const fo_dual flux[2] = {fo_shift(-t->from->flux[A], x->x[FO_FLUX]),
-                             fo_shift(-t->from->flux[B], x->x[FO_FLUX + 1])};
-    /* Deviations of the angle from the course, at the first row and until the next. */
-    const fo_dual angle = fo_shift(-t->from->angle, x->x[FO_ANGLE]);
+    /* How much more the angle turns than the course. */
     const fo_dual step = fo_shift(t->from->angle - t->to->angle, fo_scale(h, x->x[FO_SPEED]));
     fo_dual r[2], by_angle[2], by_step[2], late[2];
     for (int a = 0; a < 2; a++) {
@@ -537,7 +534,7 @@ static void move_flux(const model *m, const interval *t, const electrical *e, st
 
 /* Angle and speed after the interval, with their rows of the transition: the torque is 3/2 n_p times
  * flux × current. */
-static void move_rotor(const model *m, const interval *t, const fo_dual flux[2], fo_dual own_angle,
+static void move_rotor(const model *m, const interval *t, const fo_dual flux[2], fo_dual angle,
                        state *x, transition *F)
 {
     const double h = t->h, *course = t->from->flux;
@@ -560,7 +557,7 @@ static void move_rotor(const model *m, const interval *t, const fo_dual flux[2],
     x->x[FO_ANGLE] = fo_axpy(fo_axpy(x->x[FO_ANGLE], h, x->x[FO_SPEED]), 0.5 * h, speed);
     fo_accumulate(&speed, &by[0], &flux[A]);
     fo_accumulate(&speed, &by[1], &flux[B]);
-    fo_accumulate(&speed, &by[2], &own_angle);
+    fo_accumulate(&speed, &by[2], &angle);
     x->x[FO_SPEED] = fo_add(x->x[FO_SPEED], speed);
 }
 
@@ -631,7 +628,7 @@ static void advance(const model *m, const interval *t, state *x, transition *F, 
                              fo_shift(-t->from->flux[B], x->x[FO_FLUX + 1])};
     const fo_dual angle = fo_shift(-t->from->angle, x->x[FO_ANGLE]);
     F->count = 0;
-    move_flux(m, t, &e, x, F);
+    move_flux(m, t, &e, flux, angle, x, F);
     move_rotor(m, t, flux, angle, x, F);
     for (int k = FO_ACCELERATION; k < FO_NOISE; k++) put_constant(F, 1.0);
     const double colour = x->measured ? m->colour.d[0] : 0.0;

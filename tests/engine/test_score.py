@@ -152,7 +152,7 @@ def test_numbers_that_cannot_be_end_the_evaluation():
 
 
 def test_the_course_settles_quadratically():
-    """From half a radian off, six passes of smoothing leave nothing to change."""
+    """The course starts half a radian off; after six passes of smoothing it no longer changes."""
     record = simulated(replace(SURFACE, duration=0.2), 1)
     u, i, p = record.voltage[:, 0], record.current[:, 0], parameters_of(SURFACE)
     p[INDEX["loss"]], p[INDEX["knee"]] = np.log(0.05), np.log(0.3)
