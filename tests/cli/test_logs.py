@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -16,6 +17,8 @@ from fluxobs.machines import example_text
 from fluxobs.simulation.closed_form.demo import LOG
 from support.cli import fluxobs, process
 
+#: Clock ticks in a second of the processor times in /proc.
+TICKS = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
 #: Half a second of the demo log.
 DEMO = pl.read_csv(LOG).head(2500)
 MACHINE = ("--machine", "servo-400w")
@@ -204,6 +207,17 @@ def test_machine_new(folder):
     assert "did you mean 'kv'" in wrong.stderr
 
 
+def wait_for_processor_time(running, seconds):
+    """Wait until the process has used so much processor time: a busy machine gives it later."""
+    stat = Path(f"/proc/{running.pid}/stat")
+    if not stat.exists():  # not Linux
+        time.sleep(seconds)
+        return
+    while sum(map(int, stat.read_text().rpartition(")")[2].split()[11:13])) < seconds * TICKS:
+        time.sleep(0.05)
+        assert running.poll() is None
+
+
 @pytest.mark.parametrize("command", ["estimate", pytest.param("check", marks=pytest.mark.slow)])
 def test_control_c_says_where_it_stopped(folder, command):
     long = pl.concat([DEMO] * 1600).with_columns(t=pl.int_range(pl.len()) * 2e-4)
@@ -211,7 +225,7 @@ def test_control_c_says_where_it_stopped(folder, command):
     out = ("--out", "x.parquet") if command == "estimate" else ()
     arguments = [sys.executable, "-m", "fluxobs", command, "long.parquet", *MACHINE, *out]
     with subprocess.Popen(arguments, cwd=folder, stderr=subprocess.PIPE, text=True) as running:
-        time.sleep(4.0)  # threads learn from a piece of the log, which takes them a minute
+        wait_for_processor_time(running, 8.0)  # of about a minute that learning takes
         running.send_signal(signal.SIGINT)
         _, stderr = running.communicate(timeout=20)
     assert running.returncode == 130
