@@ -72,10 +72,13 @@ COMPILERS ?= gcc clang
 warnings:
 	@for cc in $(COMPILERS); do for precision in -DFO_SINGLE=0 -DFO_SINGLE=1; do \
 	    echo "$$cc $(STRICT) $$precision"; \
-	    for source in $(FIRMWARE) $(ENGINE); do \
+	    for source in $(FIRMWARE); do \
 	        $$cc $(STRICT) $$precision -c $$source -o /dev/null || exit 1; \
+	    done; done; \
+	    for source in $(ENGINE); do \
+	        $$cc $(STRICT) -Ifirmware -c $$source -o /dev/null || exit 1; \
 	    done; \
-	done; done
+	done
 
 misra:
 	@if ! command -v cppcheck >/dev/null; then echo "MISRA: skipped, cppcheck is missing"; else \

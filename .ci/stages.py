@@ -60,7 +60,7 @@ STAGES = (
     Stage("tools", ".ci/tools"),
     Stage("page", "make page"),
     Stage("lint", "make lint", single=True),
-    Stage("warnings", "make warnings", FIRMWARE, tools=("gcc", "clang"), single=True),
+    Stage("warnings", "make warnings", (*FIRMWARE, "engine"), tools=("gcc", "clang"), single=True),
     Stage("MISRA", "make misra", FIRMWARE, tools=("cppcheck",), single=True),
     Stage("sanitizers", "make sanitize", FIRMWARE, tools=("gcc",), single=True),
     Stage(

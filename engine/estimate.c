@@ -14,6 +14,10 @@ enum {
  * deviations off costs d²/2, so it remains within 0.3 of them. */
 static const double rough = 5.0, coarse = 2.0, fine = 0.05;
 
+/* Share of the flux by which magnets change in a second (root of it): their temperature changes by 30 K
+ * in ten minutes. A cage's flux changes as its inductances do. */
+static const double psi_walk = 1e-3;
+
 /* Root mean square of the voltages. */
 static double mean_voltage(const fo_log *record)
 {
@@ -37,13 +41,13 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     fo_prior p;
     memset(&p, 0, sizeof p);
     const double u = mean_voltage(record), h = fabs(record->sample_time);
-    const double speed = u / file->psi_f; /* at which the magnet alone gives the mean voltage */
+    const double speed = u / file->flux; /* at which this flux alone gives the mean voltage */
     put(&p, FO_L_resistance, log(file->R), file->R_std);
     put(&p, FO_L_L_d, log(file->L_d), file->L_std);
     put(&p, FO_L_L_q, log(file->L_q), file->L_std);
-    put(&p, FO_L_psi_f, log(file->psi_f), file->psi_std);
+    put(&p, FO_L_psi_f, log(file->psi_f), file->psi_f > 0.0 ? file->psi_std : 0.0);
     /* Rated current alone accelerates to that speed in 5 ms, or much more slowly. */
-    put(&p, FO_L_mobility, 0.0, speed / (0.005 * file->psi_f * file->rated_current));
+    put(&p, FO_L_mobility, 0.0, speed / (0.005 * file->flux * file->rated_current));
     put(&p, FO_L_noise, log(0.003 * file->rated_current), 1.5);
     put(&p, FO_L_acceleration, log(10.0 * speed), 3.0);
     put(&p, FO_L_voltage, log(0.001 * u * sqrt(h)), 1.5);
@@ -58,8 +62,15 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     put(&p, FO_L_offset_beta, 0.0, file->offset_std);
     put(&p, FO_L_gain_re, 0.0, file->gain_std);
     put(&p, FO_L_gain_im, 0.0, file->gain_std);
-    p.harmonics = 0.01 * file->psi_f;
-    p.round = file->L_d == file->L_q;
+    put(&p, FO_L_saturation_d, 0.0, file->saturation_std);
+    put(&p, FO_L_saturation_q, 0.0, file->saturation_std);
+    if (file->R_R > 0.0) {
+        put(&p, FO_L_rotor_resistance, log(file->R_R), file->cage_std);
+        put(&p, FO_L_magnetizing, log(file->L_M), file->cage_std);
+    }
+    /* The angle of a cage's flux is no place on its rotor. */
+    p.harmonics = file->R_R > 0.0 ? 0.0 : 0.01 * file->flux;
+    p.round = !file->map && file->L_d == file->L_q;
     return p;
 }
 
@@ -82,36 +93,57 @@ static void begin(const fo_log *record, const fo_file *file, const fo_prior *pri
 /* Nothing is known of the state at the first row. */
 static fo_start any_start(const fo_log *record, const fo_file *file)
 {
-    const double u = mean_voltage(record), speed = u / file->psi_f;
+    const double u = mean_voltage(record), speed = u / file->flux;
     const fo_start start = {
-        .flux_std = 3.0 * file->psi_f,
+        .flux_std = 3.0 * file->flux,
         .angle_std = 1.8137993642342178, /* π/√3, of a uniform angle */
         .speed_std = speed,
         .acceleration_std = 10.0 * speed, /* to that speed in a tenth of a second */
+        .psi_std = file->R_R > 0.0 ? file->flux : 0.0,
         .drift_std = 0.02 * u,
         .skipped = SKIPPED < record->rows ? SKIPPED : 0,
     };
     return start;
 }
 
-/* The course through these angles: the flux is that of the measured current. */
-static void set_course(const fo_log *record, const double *angle, const double *p, fo_course *course)
+static fo_machine machine_of(const fo_file *file)
 {
-    const double L_d = exp(p[FO_L_L_d]), L_q = exp(p[FO_L_L_q]), psi = exp(p[FO_L_psi_f]);
-    double i[2] = {0.0, 0.0};
+    const fo_machine machine = {
+        .map = file->map,
+        .cage = file->R_R > 0.0,
+        .current = file->rated_current,
+        .psi_rate = psi_walk * file->flux,
+    };
+    return machine;
+}
+
+/* The course through these angles: the flux is that of the measured current. A cage's rotor flux
+ * follows i_d, from its steady value at the first row. */
+static void set_course(const fo_log *record, const fo_machine *machine, const double *angle,
+                       const double *p, fo_course *course)
+{
+    const fo_model m = fo_model_of(machine, p);
+    const double decay = m.R_R * m.over_L_M * fabs(record->sample_time);
+    double i[2] = {0.0, 0.0}, psi = 0.0;
     for (size_t k = 0; k < record->rows; k++) {
         const double *own = record->current + 2 * k, c = cos(angle[k]), s = sin(angle[k]);
         if (isfinite(own[0] + own[1])) memcpy(i, own, sizeof i);
-        const double d = psi + L_d * (c * i[0] + s * i[1]), q = L_q * (c * i[1] - s * i[0]);
-        course[k] = (fo_course){{c * d - s * q, s * d + c * q}, angle[k], 1.0};
+        const double rotor[2] = {c * i[0] + s * i[1], c * i[1] - s * i[0]};
+        if (m.machine.cage)
+            psi += k ? decay * (rotor[0] / m.over_L_M - psi) : rotor[0] / m.over_L_M;
+        double dq[2];
+        fo_flux_of(&m, psi + m.psi.d[0], rotor, dq);
+        course[k] = (fo_course){
+            {c * dq[0] - s * dq[1], s * dq[0] + c * dq[1]}, angle[k], psi, 1.0};
     }
 }
 
 /* First levels, the loss and the offsets, about the given course; then all but the mobility, which
  * moves when the rest is nearly right; then all, with the unrest of the acceleration, which takes its
  * level along. */
-static bool learn(const fo_log *record, const fo_start *start, const fo_prior *prior,
-                  fo_course *course, fo_row *rows, double *changes, fo_posterior *out)
+static bool learn(const fo_log *record, const fo_machine *machine, const fo_start *start,
+                  const fo_prior *prior, fo_course *course, fo_row *rows, double *changes,
+                  fo_posterior *out)
 {
     bool some[FO_L] = {false}, most[FO_L], last[FO_L];
     static const int early[] = {FO_L_noise, FO_L_acceleration, FO_L_voltage, FO_L_drift,
@@ -127,16 +159,18 @@ static bool learn(const fo_log *record, const fo_start *start, const fo_prior *p
     fo_prior first = *prior;
     first.harmonics = 0.0;
     for (int n = 0; n < 3; n++)
-        if (!fo_learn(record, start, n ? prior : &first, &stages[n], course, rows, changes, out))
+        if (!fo_learn(record, machine, start, n ? prior : &first, &stages[n], course, rows, changes,
+                      out))
             return false;
     return true;
 }
 
-fo_outcome fo_estimate(const fo_log *record, const fo_file *file, const double *angle,
+fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angle,
                        const double *parameters, fo_posterior *posterior, fo_smoothed *rows)
 {
     const fo_prior prior = fo_ordinary_prior(record, file);
     const fo_start start = any_start(record, file);
+    const fo_machine machine = machine_of(file);
     fo_row *kept = malloc(record->rows * sizeof *kept);
     fo_course *course = malloc(record->rows * sizeof *course);
     double *changes = malloc(record->rows * sizeof *changes);
@@ -144,10 +178,10 @@ fo_outcome fo_estimate(const fo_log *record, const fo_file *file, const double *
     if (kept && course && changes) {
         fo_likelihood last;
         begin(record, file, &prior, parameters, posterior);
-        set_course(record, angle, posterior->parameters, course);
+        set_course(record, &machine, angle, posterior->parameters, course);
         outcome = FO_NO_ESTIMATE;
-        if (learn(record, &start, &prior, course, kept, changes, posterior) &&
-            fo_innovations(record, course, posterior->parameters, &start, &last, kept) &&
+        if (learn(record, &machine, &start, &prior, course, kept, changes, posterior) &&
+            fo_innovations(record, &machine, course, posterior->parameters, &start, &last, kept) &&
             fo_covariance(&last, &prior, posterior)) {
             fo_smooth(kept, record->rows, record->sample_time, posterior->parameters,
                       posterior->covariance, rows);

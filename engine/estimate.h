@@ -17,8 +17,12 @@ typedef enum {
 
 /* Machine file: values, and relative standard deviations (logarithms); a std of zero is exact. */
 typedef struct {
-    double R, L_d, L_q, psi_f, rated_current;
+    double R, L_d, L_q, psi_f, rated_current; /* with a flux map: L_d and L_q are its scales */
     double R_std, L_std, psi_std;
+    const fo_map *map; /* null: constant inductances */
+    double flux;       /* that usually turns with the rotor [Wb] */
+    double R_R, L_M;   /* of a cage [Ω], [H]; else 0 */
+    double cage_std;   /* of both */
     double lag, lag_std; /* that the voltages act later than the log says [samples] */
     /* Errors that a drive may have; 0: it has none. */
     double delay_std;  /* the currents are older than the log says [samples] */
@@ -26,6 +30,7 @@ typedef struct {
     double heat_std;   /* relative change of R over the log [1] */
     double offset_std; /* of a component of the current [A] */
     double gain_std;   /* unequal gains of the current sensors [1] */
+    double saturation_std; /* share of its flux that the rated current loses [1] */
 } fo_file;
 
 /* Priors of an ordinary drive. The levels scale with the log's mean voltage and the rated current. */
@@ -34,7 +39,7 @@ fo_prior fo_ordinary_prior(const fo_log *log, const fo_file *file);
 /* Estimates from a course that another estimate of the log gives: `angle` of each row, within about
  * half a radian, finite, without jumps of a turn. `parameters`: where learning starts, FO_UNKNOWNS;
  * NaN, and null for all: the mean of the prior. `rows`: an element for each row. */
-fo_outcome fo_estimate(const fo_log *log, const fo_file *file, const double *angle,
+fo_outcome fo_estimate_log(const fo_log *log, const fo_file *file, const double *angle,
                        const double *parameters, fo_posterior *posterior, fo_smoothed *rows);
 
 #ifdef __cplusplus

@@ -5,18 +5,10 @@
 
 #include "dual.h"
 
-enum { A, B }; /* components of a vector */
-
-typedef struct {
-    fo_dual R, inverse_d, inverse_q, psi, mobility, pole, colour;
-    fo_dual noise, acceleration, voltage, drift; /* variances */
-    double loss, inverse_knee, lag, iron, heat, offset[2], unequal[2];
-    const double *harmonics; /* two coefficients of each order */
-    bool is_coloured;
-} model;
+enum { A = FO_ALPHA, B = FO_BETA };
 
 /* Derivatives of the states by the parameters that change the means only: the gain is the same. */
-enum { COLUMNS = FO_UNKNOWNS - FO_C };
+enum { COLUMNS = FO_COLUMNS };
 typedef double sensitivity[FO_STATES][COLUMNS];
 
 typedef struct {
@@ -27,18 +19,6 @@ typedef struct {
     int states;
 } state;
 
-/* The current at a row of the course, and its derivatives. */
-typedef struct {
-    fo_pair current;  /* that makes flux */
-    fo_pair terminal; /* with that of the iron loss */
-    fo_pair measured; /* by the sensors */
-    fo_dual by_flux[2][2];
-    fo_dual by_angle[2];
-    double by[2][COLUMNS]; /* by the parameters of the means */
-    double measured_by[2][COLUMNS];
-    double angle_by[2][2 * FO_ORDERS]; /* of by_angle, by the harmonics */
-} prediction;
-
 /* A measurement update. */
 typedef struct {
     fo_dual e[2], V[2][2], w[2], K[FO_STATES][2]; /* V: inverse of the covariance; w = V e */
@@ -46,176 +26,34 @@ typedef struct {
     double angle; /* of the state before it, from the course */
 } update;
 
-#define FO_LIST(order) order,
-static const int orders[FO_ORDERS] = {FO_HARMONICS(FO_LIST)};
-#undef FO_LIST
-
+/* A cage's slip and rotor flux follow the current; other machines lack these elements. */
 const unsigned char fo_pattern[FO_ELEMENTS][2] = {
-    {0, 0}, {0, 1}, {0, FO_ANGLE}, {0, FO_SPEED}, {0, FO_DRIFT}, {0, FO_DRIFT + 1},
-    {1, 0}, {1, 1}, {1, FO_ANGLE}, {1, FO_SPEED}, {1, FO_DRIFT}, {1, FO_DRIFT + 1},
-    {FO_ANGLE, FO_ANGLE}, {FO_ANGLE, FO_SPEED}, {FO_ANGLE, FO_ACCELERATION},
-    {FO_SPEED, 0}, {FO_SPEED, 1}, {FO_SPEED, FO_ANGLE}, {FO_SPEED, FO_SPEED},
+    {0, 0}, {0, 1}, {0, FO_ANGLE}, {0, FO_SPEED}, {0, FO_PSI}, {0, FO_DRIFT}, {0, FO_DRIFT + 1},
+    {1, 0}, {1, 1}, {1, FO_ANGLE}, {1, FO_SPEED}, {1, FO_PSI}, {1, FO_DRIFT}, {1, FO_DRIFT + 1},
+    {FO_ANGLE, FO_SPEED}, {FO_ANGLE, FO_ACCELERATION},
+    {FO_ANGLE, 0}, {FO_ANGLE, 1}, {FO_ANGLE, FO_ANGLE}, {FO_ANGLE, FO_PSI},
+    {FO_SPEED, 0}, {FO_SPEED, 1}, {FO_SPEED, FO_ANGLE}, {FO_SPEED, FO_PSI}, {FO_SPEED, FO_SPEED},
     {FO_SPEED, FO_ACCELERATION},
+    {FO_PSI, 0}, {FO_PSI, 1}, {FO_PSI, FO_ANGLE}, {FO_PSI, FO_PSI},
     {FO_ACCELERATION, FO_ACCELERATION}, {FO_DRIFT, FO_DRIFT},
     {FO_DRIFT + 1, FO_DRIFT + 1},
-    {FO_NOISE, FO_NOISE}, {FO_NOISE, 0}, {FO_NOISE, 1}, {FO_NOISE, FO_ANGLE},
-    {FO_NOISE + 1, FO_NOISE + 1}, {FO_NOISE + 1, 0}, {FO_NOISE + 1, 1}, {FO_NOISE + 1, FO_ANGLE}};
+    {FO_NOISE, FO_NOISE}, {FO_NOISE, 0}, {FO_NOISE, 1}, {FO_NOISE, FO_ANGLE}, {FO_NOISE, FO_PSI},
+    {FO_NOISE + 1, FO_NOISE + 1}, {FO_NOISE + 1, 0}, {FO_NOISE + 1, 1}, {FO_NOISE + 1, FO_ANGLE},
+    {FO_NOISE + 1, FO_PSI}};
+
+typedef enum { GENERAL, CONSTANT, ABSENT } kind;
 
 /* An element; a constant one has no derivatives. */
 typedef struct {
     fo_dual value;
-    bool constant;
+    kind kind;
 } element;
 typedef struct {
     element at[FO_ELEMENTS];
     int count;
 } transition;
 
-static fo_dual variance(double logarithm, int index)
-{
-    return fo_exp_of(fo_scale(2.0, fo_unknown(logarithm, index)));
-}
-
-static fo_dual positive(const double *p, int index)
-{
-    return fo_exp_of(fo_unknown(p[index], index));
-}
-
-static model model_of(const double p[FO_UNKNOWNS])
-{
-    model m;
-    m.R = positive(p, FO_L_resistance);
-    m.inverse_d = fo_inverse(positive(p, FO_L_L_d));
-    m.inverse_q = fo_inverse(positive(p, FO_L_L_q));
-    m.psi = positive(p, FO_L_psi_f);
-    m.mobility = fo_unknown(p[FO_L_mobility], FO_L_mobility);
-    m.pole = fo_unknown(p[FO_L_colour_pole], FO_L_colour_pole);
-    m.colour = fo_unknown(p[FO_L_colour_gain], FO_L_colour_gain);
-    m.noise = variance(p[FO_L_noise], FO_L_noise);
-    m.acceleration = variance(p[FO_L_acceleration], FO_L_acceleration);
-    m.voltage = variance(p[FO_L_voltage], FO_L_voltage);
-    m.drift = variance(p[FO_L_drift], FO_L_drift);
-    m.loss = exp(p[FO_L_loss]);
-    m.inverse_knee = exp(-p[FO_L_knee]);
-    m.lag = p[FO_L_lag] + p[FO_L_delay]; /* in the time of the currents */
-    m.iron = p[FO_L_iron_loss];
-    m.heat = p[FO_L_heat];
-    m.offset[A] = p[FO_L_offset_alpha];
-    m.offset[B] = p[FO_L_offset_beta];
-    m.unequal[A] = p[FO_L_gain_re];
-    m.unequal[B] = p[FO_L_gain_im];
-    m.harmonics = p + FO_L;
-    m.is_coloured = p[FO_L_colour_pole] != 0.0 || p[FO_L_colour_gain] != 0.0;
-    return m;
-}
-
-/* r ← x turned by the angle of (c, s). */
-static fo_pair turned(fo_pair x, double c, double s)
-{
-    const fo_pair r = {fo_axpy(fo_scale(c, x.a), -s, x.b), fo_axpy(fo_scale(s, x.a), c, x.b)};
-    return r;
-}
-
-/* i = e^{jθ} L⁻¹ (e^{−jθ} λ − ψ − Σ a e^{jhθ}). If the rotor turns by δ, e^{−jθ} λ turns by −δ:
- * ∂i/∂θ = e^{jθ} [j i − L⁻¹ (j λ + Σ j h a e^{jhθ})] in rotor coordinates. */
-static void predict(const model *m, const fo_course *at, double speed, prediction *p)
-{
-    const double c = cos(at->angle), s = sin(at->angle);
-    const double flux[2] = {c * at->flux[A] + s * at->flux[B], c * at->flux[B] - s * at->flux[A]};
-    const double inverse[2] = {m->inverse_d.d[0], m->inverse_q.d[0]};
-    double harmonic[2] = {0.0, 0.0}, slope[2] = {0.0, 0.0};
-    memset(p->by, 0, sizeof p->by);
-    double power[2] = {1.0, 0.0}, powers[7][2];
-    for (int n = 1; n <= 6; n++) {
-        const double a = power[A] * c - power[B] * s, b = power[A] * s + power[B] * c;
-        powers[n][A] = power[A] = a;
-        powers[n][B] = power[B] = b;
-    }
-    for (int n = 0; n < FO_ORDERS; n++) {
-        const int order = orders[n], size = order < 0 ? -order : order;
-        const double u = powers[size][A], v = order < 0 ? -powers[size][B] : powers[size][B];
-        const double a = m->harmonics[2 * n], b = m->harmonics[2 * n + 1];
-        const double x = a * u - b * v, y = a * v + b * u;
-        harmonic[A] += x;
-        harmonic[B] += y;
-        slope[A] -= order * y;
-        slope[B] += order * x;
-        /* −e^{jθ} L⁻¹ e^{jhθ} (a + j b) */
-        const double d = inverse[A] * u, q = inverse[B] * v, e = -inverse[A] * v, f = inverse[B] * u;
-        double *by_a = &p->by[A][FO_L - FO_C + 2 * n], *by_b = &p->by[B][FO_L - FO_C + 2 * n];
-        by_a[0] = -(c * d - s * q);
-        by_b[0] = -(s * d + c * q);
-        by_a[1] = -(c * e - s * f);
-        by_b[1] = -(s * e + c * f);
-        /* −e^{jθ} (j L⁻¹ + L⁻¹ j h) e^{jhθ} (a + j b) */
-        const double x_a = q + inverse[A] * order * v, y_a = -d - inverse[B] * order * u;
-        const double x_b = f + inverse[A] * order * u, y_b = -e + inverse[B] * order * v;
-        p->angle_by[A][2 * n] = c * x_a - s * y_a;
-        p->angle_by[B][2 * n] = s * x_a + c * y_a;
-        p->angle_by[A][2 * n + 1] = c * x_b - s * y_b;
-        p->angle_by[B][2 * n + 1] = s * x_b + c * y_b;
-    }
-    const fo_pair i = {
-        fo_mul(fo_shift(flux[A] - harmonic[A], fo_scale(-1.0, m->psi)), m->inverse_d),
-        fo_scale(flux[B] - harmonic[B], m->inverse_q)};
-    p->current = turned(i, c, s);
-    /* Iron: j ω λ is the induced voltage. */
-    const double induced[2] = {-speed * at->flux[B], speed * at->flux[A]};
-    p->by[A][FO_L_iron_loss - FO_C] = induced[A];
-    p->by[B][FO_L_iron_loss - FO_C] = induced[B];
-    p->terminal = (fo_pair){fo_shift(m->iron * induced[A], p->current.a),
-                            fo_shift(m->iron * induced[B], p->current.b)};
-    const fo_pair t = p->terminal;
-    const double g = m->unequal[A], k = m->unequal[B];
-    p->measured = (fo_pair){fo_shift(m->offset[A], fo_axpy(fo_scale(1.0 + g, t.a), k, t.b)),
-                            fo_shift(m->offset[B], fo_axpy(fo_scale(1.0 - g, t.b), k, t.a))};
-    for (int n = 0; n < COLUMNS; n++) {
-        p->measured_by[A][n] = (1.0 + g) * p->by[A][n] + k * p->by[B][n];
-        p->measured_by[B][n] = (1.0 - g) * p->by[B][n] + k * p->by[A][n];
-    }
-    p->measured_by[A][FO_L_offset_alpha - FO_C] = 1.0;
-    p->measured_by[B][FO_L_offset_beta - FO_C] = 1.0;
-    p->measured_by[A][FO_L_gain_re - FO_C] = t.a.d[0];
-    p->measured_by[B][FO_L_gain_re - FO_C] = -t.b.d[0];
-    p->measured_by[A][FO_L_gain_im - FO_C] = t.b.d[0];
-    p->measured_by[B][FO_L_gain_im - FO_C] = t.a.d[0];
-    const fo_pair by_angle = {fo_axpy(fo_scale(flux[B] - slope[A], m->inverse_d), -1.0, i.b),
-                              fo_axpy(fo_scale(-flux[A] - slope[B], m->inverse_q), 1.0, i.a)};
-    const fo_pair in_stator = turned(by_angle, c, s);
-    p->by_angle[A] = in_stator.a;
-    p->by_angle[B] = in_stator.b;
-    p->by_flux[A][A] = fo_axpy(fo_scale(c * c, m->inverse_d), s * s, m->inverse_q);
-    p->by_flux[B][B] = fo_axpy(fo_scale(s * s, m->inverse_d), c * c, m->inverse_q);
-    p->by_flux[A][B] = p->by_flux[B][A] =
-        fo_axpy(fo_scale(c * s, m->inverse_d), -c * s, m->inverse_q);
-}
-
-/* Sum of the phases' smoothed signs as a vector, amplitude-invariant, with its derivatives by the
- * current and by ln knee. */
-typedef struct {
-    double value[2], by_current[2][2], by_knee[2];
-} signs;
-
-static signs signs_of(const model *m, double i_a, double i_b)
-{
-    static const double phase[3][2] = {
-        {1.0, 0.0}, {-0.5, 0.86602540378443864676}, {-0.5, -0.86602540378443864676}};
-    signs s;
-    memset(&s, 0, sizeof s);
-    for (int n = 0; n < 3; n++) {
-        const double *d = phase[n], x = m->inverse_knee * (d[A] * i_a + d[B] * i_b);
-        const double t = tanh(x), slope = 1.0 - t * t;
-        for (int a = 0; a < 2; a++) {
-            s.value[a] += 2.0 / 3.0 * d[a] * t;
-            s.by_knee[a] -= 2.0 / 3.0 * d[a] * slope * x;
-            for (int b = 0; b < 2; b++)
-                s.by_current[a][b] += 2.0 / 3.0 * d[a] * d[b] * slope * m->inverse_knee;
-        }
-    }
-    return s;
-}
-
-static void start_at(const model *m, const fo_course *course, const fo_start *start, double speed,
+static void start_at(const fo_model *m, const fo_course *course, const fo_start *start, double speed,
                      state *x, sensitivity by_means)
 {
     memset(x, 0, sizeof *x);
@@ -225,9 +63,10 @@ static void start_at(const model *m, const fo_course *course, const fo_start *st
     x->x[FO_FLUX + 1] = fo_constant(course->flux[B]);
     x->x[FO_ANGLE] = fo_constant(course->angle);
     x->x[FO_SPEED] = fo_constant(speed);
-    const double stds[FO_WHITE] = {start->flux_std,  start->flux_std,         start->angle_std,
-                                   start->speed_std, start->acceleration_std, start->drift_std,
-                                   start->drift_std};
+    x->x[FO_PSI] = fo_constant(course->psi);
+    const double stds[FO_WHITE] = {start->flux_std,  start->flux_std,  start->angle_std,
+                                   start->speed_std, start->psi_std,   start->acceleration_std,
+                                   start->drift_std, start->drift_std};
     for (int r = 0; r < FO_WHITE; r++) x->P[r][r] = fo_constant(stds[r] * stds[r]);
     if (m->is_coloured)
         x->P[FO_NOISE][FO_NOISE] = x->P[FO_NOISE + 1][FO_NOISE + 1] =
@@ -235,13 +74,14 @@ static void start_at(const model *m, const fo_course *course, const fo_start *st
 }
 
 /* Measurement update. */
-static bool measure(const model *m, const double measured[2], const fo_course *at,
-                    const prediction *p, state *x, update *z)
+static bool measure(const fo_model *m, const double measured[2], const fo_course *at,
+                    const fo_prediction *p, state *x, update *z)
 {
     const int states = x->states;
     const fo_dual flux[2] = {fo_shift(-at->flux[A], x->x[FO_FLUX]),
                              fo_shift(-at->flux[B], x->x[FO_FLUX + 1])};
     const fo_dual angle = fo_shift(-at->angle, x->x[FO_ANGLE]);
+    const fo_dual psi = fo_shift(-at->psi, x->x[FO_PSI]);
     fo_dual PH[FO_STATES][2];
     z->angle = angle.d[0];
     for (int a = 0; a < 2; a++) {
@@ -250,6 +90,7 @@ static bool measure(const model *m, const double measured[2], const fo_course *a
         fo_reduce(&e, &p->by_flux[a][A], &flux[A]);
         fo_reduce(&e, &p->by_flux[a][B], &flux[B]);
         fo_reduce(&e, &p->by_angle[a], &angle);
+        fo_reduce(&e, &p->by_psi[a], &psi);
         if (states > FO_WHITE) e = fo_sub(e, x->x[FO_NOISE + a]);
         z->e[a] = e;
         for (int r = 0; r < states; r++) {
@@ -257,6 +98,7 @@ static bool measure(const model *m, const double measured[2], const fo_course *a
             fo_product(&PH[r][a], &P[FO_FLUX], &p->by_flux[a][A]);
             fo_accumulate(&PH[r][a], &P[FO_FLUX + 1], &p->by_flux[a][B]);
             fo_accumulate(&PH[r][a], &P[FO_ANGLE], &p->by_angle[a]);
+            fo_accumulate(&PH[r][a], &P[FO_PSI], &p->by_psi[a]);
             if (states > FO_WHITE) PH[r][a] = fo_add(PH[r][a], P[FO_NOISE + a]);
         }
     }
@@ -266,6 +108,7 @@ static bool measure(const model *m, const double measured[2], const fo_course *a
             fo_accumulate(&S, &p->by_flux[a][A], &PH[FO_FLUX][b]);
             fo_accumulate(&S, &p->by_flux[a][B], &PH[FO_FLUX + 1][b]);
             fo_accumulate(&S, &p->by_angle[a], &PH[FO_ANGLE][b]);
+            fo_accumulate(&S, &p->by_psi[a], &PH[FO_PSI][b]);
             if (states > FO_WHITE) S = fo_add(S, PH[FO_NOISE + a][b]);
             z->S[a][b] = z->S[b][a] = S;
         }
@@ -299,7 +142,7 @@ static bool measure(const model *m, const double measured[2], const fo_course *a
 
 /* Derivatives of the innovation by all parameters, and the update of those of the state by the
  * parameters of the means. */
-static void error_derivatives(const prediction *p, const update *z, int states, sensitivity x,
+static void error_derivatives(const fo_prediction *p, const update *z, int states, sensitivity x,
                               double by[2][FO_UNKNOWNS])
 {
     for (int a = 0; a < 2; a++) {
@@ -307,7 +150,7 @@ static void error_derivatives(const prediction *p, const update *z, int states, 
         for (int k = 0; k < COLUMNS; k++) {
             double e = -p->measured_by[a][k] - p->by_flux[a][A].d[0] * x[FO_FLUX][k] -
                        p->by_flux[a][B].d[0] * x[FO_FLUX + 1][k] -
-                       p->by_angle[a].d[0] * x[FO_ANGLE][k];
+                       p->by_angle[a].d[0] * x[FO_ANGLE][k] - p->by_psi[a].d[0] * x[FO_PSI][k];
             if (states > FO_WHITE) e -= x[FO_NOISE + a][k];
             by[a][FO_C + k] = e;
         }
@@ -354,20 +197,28 @@ static void put(transition *F, fo_dual value)
 {
     element *e = &F->at[F->count++];
     e->value = value;
-    e->constant = false;
+    e->kind = GENERAL;
 }
 
 static void put_constant(transition *F, double value)
 {
     element *e = &F->at[F->count++];
     e->value = fo_constant(value);
-    e->constant = true;
+    e->kind = CONSTANT;
+}
+
+static void put_nothing(transition *F, int count)
+{
+    for (int k = 0; k < count; k++) {
+        put_constant(F, 0.0);
+        F->at[F->count - 1].kind = ABSENT;
+    }
 }
 
 /* r ← r + e x, or e x if r is not written yet. */
 static void apply(const element *e, const fo_dual *x, fo_dual *r, bool written)
 {
-    if (!e->constant)
+    if (e->kind == GENERAL)
         (written ? fo_accumulate : fo_product)(r, &e->value, x);
     else if (written)
         fo_accumulate_scaled(r, e->value.d[0], x);
@@ -383,6 +234,7 @@ static void move_covariance(const transition *F, state *x)
     const int states = x->states;
     for (int k = 0; k < F->count; k++) {
         const int row = fo_pattern[k][0], column = fo_pattern[k][1];
+        if (F->at[k].kind == ABSENT) continue;
         for (int c = 0; c < states; c++)
             apply(&F->at[k], &x->P[column][c], &M[row][c], written[row]);
         written[row] = true;
@@ -390,6 +242,7 @@ static void move_covariance(const transition *F, state *x)
     memset(written, 0, sizeof written);
     for (int k = 0; k < F->count; k++) {
         const int row = fo_pattern[k][0], column = fo_pattern[k][1];
+        if (F->at[k].kind == ABSENT) continue;
         for (int r = 0; r <= row; r++) apply(&F->at[k], &M[r][column], &x->P[r][row], written[row]);
         written[row] = true;
     }
@@ -402,7 +255,7 @@ typedef struct {
     double h, now[2], before[2];
     double place; /* of the interval in the log, from 0 to 1 */
     const fo_course *from, *to;
-    const prediction *at, *next;
+    const fo_prediction *at, *next;
 } interval;
 
 /* The electrical part of an interval. Flux and current change within it: with X = h (R + S') ∂i/∂λ the
@@ -415,7 +268,7 @@ typedef struct {
     fo_dual half[2][2];    /* X/2 − X²/12 */
     fo_dual M[2][2];
     fo_pair mean;          /* mean current of the course */
-    signs sign;
+    fo_signs sign;
 } electrical;
 
 /* Mean of the course's current: its ends, weighted, less a twelfth of its second difference, by which
@@ -448,11 +301,11 @@ static void matrix_product(fo_dual x[2][2], fo_dual y[2][2], fo_dual out[2][2])
         }
 }
 
-static electrical electrical_of(const model *m, const interval *t)
+static electrical electrical_of(const fo_model *m, const interval *t)
 {
     electrical e;
     const fo_pair *from = &t->at->terminal, *to = &t->next->terminal;
-    const signs about = signs_of(m, 0.5 * (from->a.d[0] + to->a.d[0]), 0.5 * (from->b.d[0] + to->b.d[0]));
+    const fo_signs about = fo_signs_of(m, 0.5 * (from->a.d[0] + to->a.d[0]), 0.5 * (from->b.d[0] + to->b.d[0]));
     e.R = fo_scale(1.0 + m->heat * t->place, m->R);
     for (int a = 0; a < 2; a++)
         for (int b = 0; b < 2; b++) {
@@ -477,22 +330,67 @@ static electrical electrical_of(const model *m, const interval *t)
     e.M[0][1] = fo_scale(-1.0, fo_mul(whole[0][1], inverse));
     e.M[1][0] = fo_scale(-1.0, fo_mul(whole[1][0], inverse));
     e.mean = mean_current(t, e.W);
-    e.sign = signs_of(m, e.mean.a.d[0], e.mean.b.d[0]);
+    e.sign = fo_signs_of(m, e.mean.a.d[0], e.mean.b.d[0]);
     return e;
+}
+
+/* A cage in an interval of the course: its flux follows ψ' = R_R (i_d − ψ/L_M), and turns faster than
+ * the rotor by the slip R_R i_q/ψ. */
+typedef struct {
+    double psi, rate;       /* [Wb]; R_R h [Ω s] */
+    fo_dual i_d, i_q;       /* mean currents */
+    double by[2][COLUMNS];  /* of i_d and i_q, by the parameters of the means */
+} cage;
+
+static const double least_psi = 1e-9; /* [Wb]: the slip is finite */
+
+static cage cage_of(const fo_model *m, const interval *t)
+{
+    cage g;
+    const fo_prediction *ends[2] = {t->at, t->next};
+    const double angles[2] = {t->from->angle, t->to->angle};
+    const double psi = m->psi.d[0] + 0.5 * (t->from->psi + t->to->psi);
+    memset(&g, 0, sizeof g);
+    g.psi = psi > least_psi ? psi : least_psi;
+    g.rate = m->R_R * t->h;
+    for (int n = 0; n < 2; n++) {
+        const double c = 0.5 * cos(angles[n]), s = 0.5 * sin(angles[n]);
+        const fo_prediction *p = ends[n];
+        g.i_d = fo_add(g.i_d, fo_axpy(fo_scale(c, p->current.a), s, p->current.b));
+        g.i_q = fo_add(g.i_q, fo_axpy(fo_scale(c, p->current.b), -s, p->current.a));
+        for (int j = 0; j < COLUMNS; j++) {
+            g.by[0][j] += c * p->by[A][j] + s * p->by[B][j];
+            g.by[1][j] += c * p->by[B][j] - s * p->by[A][j];
+        }
+    }
+    /* The voltage is constant in stator coordinates, so the current bends in rotor coordinates: with
+     * Δλ = h λ̇, h² i'' = (−2 j h ω e^{−jθ} Δλ − (h ω)² e^{−jθ} λ)/L_σ; a twelfth of it is missing. */
+    const double turn = t->to->angle - t->from->angle, middle = 0.5 * (angles[0] + angles[1]);
+    const double c = cos(middle), s = sin(middle), share = 1.0 / (12.0 * m->scale[0].d[0]);
+    const double *x = t->from->flux, *y = t->to->flux;
+    const double step[2] = {c * (y[A] - x[A]) + s * (y[B] - x[B]), c * (y[B] - x[B]) - s * (y[A] - x[A])};
+    const double mean[2] = {0.5 * (c * (x[A] + y[A]) + s * (x[B] + y[B])),
+                            0.5 * (c * (x[B] + y[B]) - s * (x[A] + y[A]))};
+    g.i_d.d[0] -= share * turn * (2.0 * step[1] - turn * mean[0]);
+    g.i_q.d[0] -= share * turn * (-2.0 * step[0] - turn * mean[1]);
+    const int iron = FO_L_iron_loss - FO_C; /* its current does not reach the rotor */
+    g.by[0][iron] = g.by[1][iron] = 0.0;
+    return g;
 }
 
 /* Flux after the interval, and its rows of the transition. `flux` and `angle`: deviations from the
  * course before it. */
-static void move_flux(const model *m, const interval *t, const electrical *e, const fo_dual flux[2],
-                      fo_dual angle, state *x, transition *F)
+static void move_flux(const fo_model *m, const interval *t, const electrical *e, const fo_dual flux[2],
+                      const cage *g, fo_dual angle, fo_dual psi, state *x, transition *F)
 {
     const double h = t->h;
-    const prediction *p = t->at;
+    const fo_prediction *p = t->at;
     const double u[2] = {t->now[A] + m->lag * (t->before[A] - t->now[A]),
                          t->now[B] + m->lag * (t->before[B] - t->now[B])};
     /* How much more the angle turns than the course. */
-    const fo_dual step = fo_shift(t->from->angle - t->to->angle, fo_scale(h, x->x[FO_SPEED]));
-    fo_dual r[2], by_angle[2], by_step[2], late[2];
+    fo_dual step = fo_shift(t->from->angle - t->to->angle, fo_scale(h, x->x[FO_SPEED]));
+    if (m->machine.cage) step = fo_axpy(step, g->rate / g->psi, g->i_q);
+    fo_dual r[2], by_angle[2], by_psi[2], by_step[2], late[2];
     for (int a = 0; a < 2; a++) {
         fo_product(&late[a], &e->W[a][A], &p->by_angle[A]);
         fo_accumulate(&late[a], &e->W[a][B], &p->by_angle[B]);
@@ -508,9 +406,12 @@ static void move_flux(const model *m, const interval *t, const electrical *e, co
                                         e->sign.by_current[a][B] * e->mean.b.d[k]);
         fo_product(&by_angle[a], &e->slope[a][A], &p->by_angle[A]);
         fo_accumulate(&by_angle[a], &e->slope[a][B], &p->by_angle[B]);
+        fo_product(&by_psi[a], &e->slope[a][A], &p->by_psi[A]);
+        fo_accumulate(&by_psi[a], &e->slope[a][B], &p->by_psi[B]);
         fo_product(&by_step[a], &e->slope[a][A], &late[A]);
         fo_accumulate(&by_step[a], &e->slope[a][B], &late[B]);
         fo_reduce(&r[a], &by_angle[a], &angle);
+        fo_reduce(&r[a], &by_psi[a], &psi);
         fo_reduce(&r[a], &by_step[a], &step);
         for (int b = 0; b < 2; b++) fo_reduce(&r[a], &e->half[a][b], &flux[b]);
     }
@@ -524,6 +425,7 @@ static void move_flux(const model *m, const interval *t, const electrical *e, co
         }
         put(F, fo_scale(-1.0, fo_mac(fo_mul(M[A], by_angle[A]), M[B], by_angle[B])));
         put(F, fo_scale(-h, fo_mac(fo_mul(M[A], by_step[A]), M[B], by_step[B])));
+        put(F, fo_scale(-1.0, fo_mac(fo_mul(M[A], by_psi[A]), M[B], by_psi[B])));
         put(F, fo_scale(-h, M[A]));
         put(F, fo_scale(-h, M[B]));
         fo_dual moved = fo_shift(t->to->flux[a], fo_mul(M[A], r[A]));
@@ -532,37 +434,84 @@ static void move_flux(const model *m, const interval *t, const electrical *e, co
     }
 }
 
-/* Angle and speed after the interval, with their rows of the transition: the torque is 3/2 n_p times
+/* Derivatives of a current in rotor coordinates by flux α and β, angle and ψ. */
+enum { BY_ALPHA, BY_BETA, BY_ANGLE, BY_PSI, BY };
+
+static void rotor_derivatives(const fo_prediction *p, double angle, fo_dual d[BY], fo_dual q[BY])
+{
+    const double c = cos(angle), s = sin(angle);
+    const fo_dual *alpha[BY] = {&p->by_flux[A][A], &p->by_flux[A][B], &p->by_angle[A], &p->by_psi[A]};
+    const fo_dual *beta[BY] = {&p->by_flux[B][A], &p->by_flux[B][B], &p->by_angle[B], &p->by_psi[B]};
+    for (int k = 0; k < BY; k++) {
+        d[k] = fo_axpy(fo_scale(c, *alpha[k]), s, *beta[k]);
+        q[k] = fo_axpy(fo_scale(c, *beta[k]), -s, *alpha[k]);
+    }
+    const fo_dual i_d = fo_axpy(fo_scale(c, p->current.a), s, p->current.b);
+    const fo_dual i_q = fo_axpy(fo_scale(c, p->current.b), -s, p->current.a);
+    d[BY_ANGLE] = fo_add(d[BY_ANGLE], i_q);
+    q[BY_ANGLE] = fo_sub(q[BY_ANGLE], i_d);
+}
+
+/* Angle, speed and ψ after the interval, with their rows of the transition: the torque is 3/2 n_p times
  * flux × current. */
-static void move_rotor(const model *m, const interval *t, const fo_dual flux[2], fo_dual angle,
-                       state *x, transition *F)
+static void move_rotor(const fo_model *m, const interval *t, const cage *g, const fo_dual flux[2],
+                       fo_dual angle, fo_dual psi, state *x, transition *F)
 {
     const double h = t->h, *course = t->from->flux;
-    const prediction *p = t->at;
+    const fo_prediction *p = t->at;
     const fo_dual torque = fo_axpy(fo_scale(course[A], p->current.b), -course[B], p->current.a);
     const fo_dual mobility = fo_scale(h, m->mobility);
-    const fo_dual by[3] = {
+    const fo_dual *deviations[BY] = {&flux[A], &flux[B], &angle, &psi};
+    const fo_dual by[BY] = {
         fo_mul(mobility, fo_add(fo_axpy(fo_scale(course[A], p->by_flux[B][A]), -course[B],
                                         p->by_flux[A][A]), p->current.b)),
         fo_mul(mobility, fo_sub(fo_axpy(fo_scale(course[A], p->by_flux[B][B]), -course[B],
                                         p->by_flux[A][B]), p->current.a)),
-        fo_mul(mobility, fo_axpy(fo_scale(course[A], p->by_angle[B]), -course[B], p->by_angle[A]))};
-    put_constant(F, 1.0);
+        fo_mul(mobility, fo_axpy(fo_scale(course[A], p->by_angle[B]), -course[B], p->by_angle[A])),
+        fo_mul(mobility, fo_axpy(fo_scale(course[A], p->by_psi[B]), -course[B], p->by_psi[A]))};
+    fo_dual d[BY], q[BY], slip = fo_constant(0.0);
     put_constant(F, h);
     put_constant(F, 0.5 * h * h);
-    for (int k = 0; k < 3; k++) put(F, by[k]);
+    if (m->machine.cage) {
+        const double over = g->rate / g->psi;
+        rotor_derivatives(p, t->from->angle, d, q);
+        slip = fo_scale(over, g->i_q);
+        q[BY_PSI].d[0] -= g->i_q.d[0] / g->psi;
+        for (int k = 0; k < BY; k++) {
+            q[k] = fo_scale(over, q[k]);
+            d[k] = fo_scale(g->rate, d[k]);
+            fo_accumulate(&slip, &q[k], deviations[k]);
+        }
+        q[BY_ANGLE].d[0] += 1.0;
+        d[BY_PSI].d[0] += 1.0 - g->rate * m->over_L_M;
+        fo_dual moved = fo_shift(-g->rate * m->over_L_M * g->psi + t->from->psi,
+                                 fo_scale(g->rate, g->i_d));
+        for (int k = 0; k < BY; k++) fo_accumulate(&moved, &d[k], deviations[k]);
+        x->x[FO_PSI] = moved;
+        for (int k = 0; k < BY; k++) put(F, q[k]);
+    } else {
+        put_nothing(F, 2);
+        put_constant(F, 1.0);
+        put_nothing(F, 1);
+    }
+    for (int k = 0; k < BY; k++) put(F, by[k]);
     put_constant(F, 1.0);
     put_constant(F, h);
+    if (m->machine.cage) {
+        for (int k = 0; k < BY; k++) put(F, d[k]);
+    } else {
+        put_nothing(F, 3);
+        put_constant(F, 1.0);
+    }
     fo_dual speed = fo_axpy(fo_mul(mobility, torque), h, x->x[FO_ACCELERATION]);
     x->x[FO_ANGLE] = fo_axpy(fo_axpy(x->x[FO_ANGLE], h, x->x[FO_SPEED]), 0.5 * h, speed);
-    fo_accumulate(&speed, &by[0], &flux[A]);
-    fo_accumulate(&speed, &by[1], &flux[B]);
-    fo_accumulate(&speed, &by[2], &angle);
+    x->x[FO_ANGLE] = fo_add(x->x[FO_ANGLE], slip);
+    for (int k = 0; k < BY; k++) fo_accumulate(&speed, &by[k], deviations[k]);
     x->x[FO_SPEED] = fo_add(x->x[FO_SPEED], speed);
 }
 
 /* Predictable part of the noise after the interval. */
-static void move_noise(const model *m, const prediction *p, state *x, transition *F)
+static void move_noise(const fo_model *m, const fo_prediction *p, state *x, transition *F)
 {
     const fo_dual colour = x->measured ? m->colour : fo_constant(0.0);
     const fo_dual memory = fo_sub(m->pole, colour);
@@ -573,18 +522,20 @@ static void move_noise(const model *m, const prediction *p, state *x, transition
         put(F, memory);
         for (int b = 0; b < 2; b++) put(F, fo_scale(-1.0, fo_mul(colour, p->by_flux[a][b])));
         put(F, fo_scale(-1.0, fo_mul(colour, p->by_angle[a])));
+        put(F, fo_scale(-1.0, fo_mul(colour, p->by_psi[a])));
     }
 }
 
 /* Derivatives by the parameters of the means: F x, and what they change themselves. */
-static void move_sensitivity(const model *m, const interval *t, const electrical *e,
-                             const transition *F, double colour, sensitivity by)
+static void move_sensitivity(const fo_model *m, const interval *t, const electrical *e,
+                             const cage *g, const transition *F, double colour, sensitivity by)
 {
     const double h = t->h, turning = h * m->mobility.d[0], *course = t->from->flux;
-    const prediction *p = t->at;
+    const fo_prediction *p = t->at;
     sensitivity next;
     memset(next, 0, sizeof next);
     for (int k = 0; k < F->count; k++) {
+        if (F->at[k].kind == ABSENT) continue;
         const double f = F->at[k].value.d[0], *from = by[fo_pattern[k][1]];
         double *to = next[fo_pattern[k][0]];
         for (int j = 0; j < COLUMNS; j++) to[j] += f * from[j];
@@ -607,6 +558,16 @@ static void move_sensitivity(const model *m, const interval *t, const electrical
         next[FO_SPEED][j] += more;
         next[FO_ANGLE][j] += 0.5 * h * more;
     }
+    if (m->machine.cage) {
+        const double decay = g->rate * m->over_L_M * g->psi;
+        for (int j = 0; j < COLUMNS; j++) {
+            next[FO_PSI][j] += g->rate * g->by[0][j];
+            next[FO_ANGLE][j] += g->rate / g->psi * g->by[1][j];
+        }
+        next[FO_PSI][FO_L_rotor_resistance - FO_C] += g->rate * g->i_d.d[0] - decay;
+        next[FO_ANGLE][FO_L_rotor_resistance - FO_C] += g->rate / g->psi * g->i_q.d[0];
+        next[FO_PSI][FO_L_magnetizing - FO_C] += decay;
+    }
     for (int a = 0; a < 2; a++) {
         r[a][FO_L_heat - FO_C] -= h * t->place * m->R.d[0] * (a ? e->mean.b : e->mean.a).d[0];
         r[a][FO_L_loss - FO_C] -= h * m->loss * e->sign.value[a];
@@ -621,25 +582,29 @@ static void move_sensitivity(const model *m, const interval *t, const electrical
 }
 
 /* Time update over an interval. */
-static void advance(const model *m, const interval *t, state *x, transition *F, sensitivity by)
+static void advance(const fo_model *m, const interval *t, state *x, transition *F, sensitivity by)
 {
     const electrical e = electrical_of(m, t);
     const fo_dual flux[2] = {fo_shift(-t->from->flux[A], x->x[FO_FLUX]),
                              fo_shift(-t->from->flux[B], x->x[FO_FLUX + 1])};
     const fo_dual angle = fo_shift(-t->from->angle, x->x[FO_ANGLE]);
+    const fo_dual psi = fo_shift(-t->from->psi, x->x[FO_PSI]);
+    cage g;
+    if (m->machine.cage) g = cage_of(m, t);
     F->count = 0;
-    move_flux(m, t, &e, flux, angle, x, F);
-    move_rotor(m, t, flux, angle, x, F);
+    move_flux(m, t, &e, flux, &g, angle, psi, x, F);
+    move_rotor(m, t, &g, flux, angle, psi, x, F);
     for (int k = FO_ACCELERATION; k < FO_NOISE; k++) put_constant(F, 1.0);
     const double colour = x->measured ? m->colour.d[0] : 0.0;
     if (x->states > FO_WHITE) move_noise(m, t->at, x, F);
-    move_sensitivity(m, t, &e, F, colour, by);
+    move_sensitivity(m, t, &e, &g, F, colour, by);
     move_covariance(F, x);
     const double passed = fabs(t->h);
     for (int a = 0; a < 2; a++) {
         fo_accumulate_scaled(&x->P[FO_FLUX + a][FO_FLUX + a], passed, &m->voltage);
         fo_accumulate_scaled(&x->P[FO_DRIFT + a][FO_DRIFT + a], passed, &m->drift);
     }
+    x->P[FO_PSI][FO_PSI].d[0] += passed * m->machine.psi_rate * m->machine.psi_rate;
     fo_accumulate_scaled(&x->P[FO_ACCELERATION][FO_ACCELERATION], passed * t->from->unrest,
                          &m->acceleration);
     if (!x->measured && x->states > FO_WHITE) { /* w of this row is unknown */
@@ -651,7 +616,7 @@ static void advance(const model *m, const interval *t, state *x, transition *F, 
 }
 
 /* Keeps a row after its measurement update. */
-static void keep_row(const state *x, const prediction *p, const update *z, sensitivity by_means,
+static void keep_row(const state *x, const fo_prediction *p, const update *z, sensitivity by_means,
                      double error_by[2][FO_UNKNOWNS], fo_row *row)
 {
     static const int own_by[2] = {FO_ANGLE, FO_SPEED};
@@ -671,11 +636,12 @@ static void keep_row(const state *x, const prediction *p, const update *z, sensi
     for (int a = 0; a < 2; a++) {
         row->error[a] = z->e[a].d[0];
         row->by_angle[a] = p->by_angle[a].d[0];
+        row->by_psi[a] = p->by_psi[a].d[0];
+        for (int b = 0; b < 2; b++) row->by_flux[2 * a + b] = p->by_flux[a][b].d[0];
         for (int r = 0; r < x->states; r++) row->K[r][a] = z->K[r][a].d[0];
     }
     const int at[3][2] = {{0, 0}, {0, 1}, {1, 1}};
     for (int n = 0; n < 3; n++) {
-        row->by_flux[n] = p->by_flux[at[n][0]][at[n][1]].d[0];
         row->inverse[n] = z->V[at[n][0]][at[n][1]].d[0];
     }
 }
@@ -688,21 +654,23 @@ static void complete(fo_likelihood *out)
             out->information[c * FO_UNKNOWNS + r] = out->information[r * FO_UNKNOWNS + c];
 }
 
-bool fo_innovations(const fo_log *log, const fo_course *course, const double parameters[FO_UNKNOWNS],
-                    const fo_start *start, fo_likelihood *out, fo_row *kept)
+bool fo_innovations(const fo_log *log, const fo_machine *machine, const fo_course *course,
+                    const double parameters[FO_UNKNOWNS], const fo_start *start,
+                    fo_likelihood *out, fo_row *kept)
 {
-    const model m = model_of(parameters);
+    const fo_model m = fo_model_of(machine, parameters);
     const double h = log->sample_time;
     state x;
     update z;
     transition F;
     sensitivity by_means;
-    prediction at, next;
+    fo_prediction at, next;
+    const double none[2] = {0.0, 0.0};
     double error_by[2][FO_UNKNOWNS], held[2] = {0.0, 0.0}, before[2];
     memset(out, 0, sizeof *out);
     const double speed = log->rows > 1 ? (course[1].angle - course[0].angle) / h : 0.0;
     start_at(&m, course, start, speed, &x, by_means);
-    predict(&m, course, speed, &at);
+    fo_predict(&m, course, speed, none, &at);
     for (size_t k = 0; k < log->rows; k++) {
         const double *i = log->current + 2 * k, *u = log->voltage + 2 * k;
         const bool known = isfinite(u[0]) && isfinite(u[1]);
@@ -718,7 +686,7 @@ bool fo_innovations(const fo_log *log, const fo_course *course, const double par
         if (kept) keep_row(&x, &at, &z, by_means, error_by, kept + k);
         if (k + 1 == log->rows) break;
         const double turning = (course[k + 1].angle - course[k].angle) / h;
-        predict(&m, course + k + 1, turning, &next);
+        fo_predict(&m, course + k + 1, turning, at.rotor, &next);
         const interval t = {h, {held[0], held[1]}, {before[0], before[1]},
                             (double)k / (double)log->rows,
                             course + k, course + k + 1, &at, &next};

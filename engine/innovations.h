@@ -13,7 +13,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-#include "parameters.h"
+#include "relation.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -24,19 +24,20 @@ extern "C" {
 enum {
     FO_FLUX,
     FO_ANGLE = 2,
-    FO_SPEED,
+    FO_SPEED, /* of the rotor; a cage's flux turns faster by the slip */
+    FO_PSI,   /* flux of magnets or rotor, less the parameter */
     FO_ACCELERATION,
     FO_DRIFT,
-    FO_NOISE = 7,
+    FO_NOISE = 8,
     FO_WHITE = FO_NOISE,
-    FO_STATES = 9
+    FO_STATES = 10
 };
-/* Those of the course and of the result: flux, angle, speed. */
-enum { FO_OWN = 4 };
-/* Elements of the transition that are not zero; see innovations.c. */
-enum { FO_ELEMENTS = 31 };
+/* Those of the course and of the result: flux, angle, speed, ψ. */
+enum { FO_OWN = 5 };
+/* Elements of the transition that may not be zero; see innovations.c. */
+enum { FO_ELEMENTS = 43 };
 
-/* A log of a synchronous machine with constant inductances. */
+/* A log. */
 typedef struct {
     size_t rows;
     double sample_time;    /* [s] */
@@ -45,17 +46,11 @@ typedef struct {
     const double *current; /* [A] */
 } fo_log;
 
-/* Where the model is linearised at a row. */
-typedef struct {
-    double flux[2]; /* stator coordinates [Wb] */
-    double angle;   /* without jumps of a turn [rad] */
-    double unrest;  /* factor on the variance by which the acceleration changes until the next row */
-} fo_course;
-
 /* What is known before the first row: standard deviations about the course. */
 typedef struct {
     double flux_std, angle_std; /* [Wb], [rad] */
     double speed_std;           /* [rad/s] */
+    double psi_std;             /* [Wb] */
     double acceleration_std;    /* [rad/s²] */
     double drift_std;           /* of a component [V] */
     size_t skipped;             /* rows until the innovations count */
@@ -75,7 +70,8 @@ typedef struct {
     double P[FO_OWN][FO_STATES];     /* their covariances */
     double error[2], inverse[3];     /* innovation, inverse of its covariance: 00, 01, 11 */
     double K[FO_STATES][2];          /* Kalman gain */
-    double by_flux[3], by_angle[2];  /* derivatives of the current: αα, αβ, ββ; α, β */
+    double by_flux[4];               /* derivatives of the current: αα, αβ, βα, ββ */
+    double by_angle[2], by_psi[2];
     double F[FO_ELEMENTS];           /* transition to the next row */
     double error_by[2][FO_UNKNOWNS]; /* derivatives of the innovation by the parameters */
     double own_by[2][FO_UNKNOWNS];   /* derivatives of angle and speed */
@@ -87,8 +83,9 @@ extern const unsigned char fo_pattern[FO_ELEMENTS][2];
 
 /* `parameters`: FO_L, then two coefficients of each harmonic [Wb]. `kept`: an element for each row, or
  * null. False: a number is not finite, or a covariance is not positive. */
-bool fo_innovations(const fo_log *log, const fo_course *course, const double parameters[FO_UNKNOWNS],
-                    const fo_start *start, fo_likelihood *out, fo_row *kept);
+bool fo_innovations(const fo_log *log, const fo_machine *machine, const fo_course *course,
+                    const double parameters[FO_UNKNOWNS], const fo_start *start,
+                    fo_likelihood *out, fo_row *kept);
 
 #ifdef __cplusplus
 }

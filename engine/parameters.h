@@ -5,8 +5,8 @@
 /* The covariances of the filter depend on these. */
 #define FO_OF_COVARIANCE(NAME)                                                                   \
     NAME(resistance)   /* ln R                                                            [Ω]  */ \
-    NAME(L_d)          /* ln L_d                                                          [H]  */ \
-    NAME(L_q)          /* ln L_q                                                          [H]  */ \
+    NAME(L_d)          /* ln L_d; of a flux map: ln of its scale                  [H] or [1]  */ \
+    NAME(L_q)          /* ln L_q                                                               */ \
     NAME(psi_f)        /* ln ψ                                                            [Wb] */ \
     NAME(mobility)     /* acceleration of the angle over flux × current, 3/2 n_p²/J [1/(kg m²)] */ \
     NAME(noise)        /* ln of the std of a component of the current's noise             [A]  */ \
@@ -24,6 +24,10 @@
     NAME(delay)        /* the currents are older than the log says                   [samples] */ \
     NAME(iron_loss)    /* current per induced voltage                                   [A/V] */ \
     NAME(heat)         /* relative change of R from the first to the last row             [1] */ \
+    NAME(saturation_d) /* s: the current leaves 1 / (1 + s |i|/rated) of its flux        [1] */ \
+    NAME(saturation_q)                                                                         \
+    NAME(rotor_resistance) /* cage: ln R_R                                               [Ω] */ \
+    NAME(magnetizing)  /* cage: ln L_M                                                   [H] */ \
     NAME(offset_alpha) /* of the measured current                                         [A] */ \
     NAME(offset_beta)                                                                            \
     NAME(gain_re)      /* unequal gains of the current sensors, g in i + g conj(i)        [1] */ \

@@ -150,6 +150,10 @@ static double longest(const fo_prior *prior, int k)
     switch (k) {
     case FO_L_iron_loss:
     case FO_L_heat:
+    case FO_L_saturation_d:
+    case FO_L_saturation_q:
+    case FO_L_rotor_resistance:
+    case FO_L_magnetizing:
     case FO_L_offset_alpha:
     case FO_L_offset_beta:
     case FO_L_gain_re:
@@ -293,8 +297,9 @@ static double damped_step(const selection *s, const fo_prior *prior, const doubl
     return gain;
 }
 
-bool fo_learn(const fo_log *log, const fo_start *start, const fo_prior *prior, const fo_stage *stage,
-              fo_course *course, fo_row *rows, double *changes, fo_posterior *out)
+bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *start,
+              const fo_prior *prior, const fo_stage *stage, fo_course *course, fo_row *rows,
+              double *changes, fo_posterior *out)
 {
     const selection s = selected(prior, stage->free);
     fo_likelihood at;
@@ -305,7 +310,7 @@ bool fo_learn(const fo_log *log, const fo_start *start, const fo_prior *prior, c
     out->converged = false;
     for (size_t n = 0; n < stage->most; n++) {
         out->evaluations++;
-        const bool good = fo_innovations(log, course, tried, start, &at, rows) &&
+        const bool good = fo_innovations(log, machine, course, tried, start, &at, rows) &&
                           isfinite(at.objective);
         if (!good && !based) return false;
         penalty own = penalty_at(prior, tried, out->harmonics);
@@ -344,7 +349,7 @@ bool fo_learn(const fo_log *log, const fo_start *start, const fo_prior *prior, c
         if (stage->smoothing) fo_smooth_course(rows, log->rows, course);
         if (stage->smoothing && !stage->jumps) { /* far from the end, a step needs its own base */
             out->evaluations++;
-            if (!fo_innovations(log, course, out->parameters, start, &at, rows)) return false;
+            if (!fo_innovations(log, machine, course, out->parameters, start, &at, rows)) return false;
             out->objective = at.objective + own.value + unrest_penalty(course, log->rows);
             reduced(&s, &at, &own, g, H);
         }

@@ -37,8 +37,9 @@ typedef struct {
     size_t most;
     bool smoothing, jumps;
 } fo_stage;
-bool fo_learn(const fo_log *log, const fo_start *start, const fo_prior *prior, const fo_stage *stage,
-              fo_course *course, fo_row *rows, double *changes, fo_posterior *out);
+bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *start,
+              const fo_prior *prior, const fo_stage *stage, fo_course *course, fo_row *rows,
+              double *changes, fo_posterior *out);
 
 /* Covariance at the likelihood. False: the curvature is not positive. */
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out);

@@ -36,11 +36,12 @@ static void measurement_transposed(const fo_row *row, double *y, size_t stride, 
         for (size_t r = 0; r < FO_STATES; r++)
             for (size_t c = 0; c < width; c++) g[a][c] += row->K[r][a] * y[r * stride + c];
     }
-    const double *A = row->by_flux, *b = row->by_angle;
+    const double *A = row->by_flux, *b = row->by_angle, *p = row->by_psi;
     for (size_t c = 0; c < width; c++) {
-        y[c] -= A[0] * g[0][c] + A[1] * g[1][c];
-        y[stride + c] -= A[1] * g[0][c] + A[2] * g[1][c];
+        y[c] -= A[0] * g[0][c] + A[2] * g[1][c];
+        y[stride + c] -= A[1] * g[0][c] + A[3] * g[1][c];
         y[FO_ANGLE * stride + c] -= b[0] * g[0][c] + b[1] * g[1][c];
+        y[FO_PSI * stride + c] -= p[0] * g[0][c] + p[1] * g[1][c];
         y[FO_NOISE * stride + c] -= g[0][c];
         y[(FO_NOISE + 1) * stride + c] -= g[1][c];
     }
@@ -92,9 +93,10 @@ static void pass_measurement(const fo_row *row, adjoint *a, size_t width)
     }
     double H[2][FO_STATES] = {{0.0}};
     for (int b = 0; b < 2; b++) {
-        H[b][0] = row->by_flux[b];
-        H[b][1] = row->by_flux[b + 1];
+        H[b][0] = row->by_flux[2 * b];
+        H[b][1] = row->by_flux[2 * b + 1];
         H[b][FO_ANGLE] = row->by_angle[b];
+        H[b][FO_PSI] = row->by_psi[b];
         H[b][FO_NOISE + b] = 1.0;
     }
     for (int c = 0; c < FO_STATES; c++) {
@@ -119,6 +121,7 @@ void fo_smooth_course(const fo_row *rows, size_t count, fo_course *out)
         out[n].flux[0] = x[FO_FLUX];
         out[n].flux[1] = x[FO_FLUX + 1];
         out[n].angle = x[FO_ANGLE];
+        out[n].psi = x[FO_PSI];
         if (!row->measured) continue;
         double v[2];
         weighted_error(row, row->error, v);

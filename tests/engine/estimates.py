@@ -24,11 +24,11 @@ class File(ctypes.Structure):
     """A machine file; see engine/estimate.h."""
 
     _fields_ = tuple(
-        (name, ctypes.c_double)
+        (name, ctypes.c_void_p if name == "map" else ctypes.c_double)
         for name in (
-            *("R", "L_d", "L_q", "psi_f", "rated_current"),
-            *("R_std", "L_std", "psi_std", "lag", "lag_std"),
-            *("delay_std", "iron_std", "heat_std", "offset_std", "gain_std"),
+            *("R", "L_d", "L_q", "psi_f", "rated_current", "R_std", "L_std", "psi_std"),
+            *("map", "flux", "R_R", "L_M", "cage_std", "lag", "lag_std"),
+            *("delay_std", "iron_std", "heat_std", "offset_std", "gain_std", "saturation_std"),
         )
     )
 
@@ -81,10 +81,17 @@ def file_of(
 
     `voltage`: rms value of a drive with errors of its sensors, iron loss and heat; None: without.
     """
-    file = File(R, L_d, L_q, psi_f, rated_current, *tolerances, *lag)
+    file = File(R, L_d, L_q, psi_f, rated_current, *tolerances, flux=psi_f)
+    file.lag, file.lag_std = lag
+    return with_errors(file, voltage)
+
+
+def with_errors(file: File, voltage: float | None) -> File:
+    """Let the drive of this rms voltage [V] have errors of its sensors, iron loss and heat."""
     if voltage is not None:
+        current = file.rated_current
         file.delay_std, file.heat_std, file.gain_std = 0.2, 0.05, 0.01
-        file.iron_std, file.offset_std = 0.02 * rated_current / voltage, 0.01 * rated_current
+        file.iron_std, file.offset_std = 0.02 * current / voltage, 0.01 * current
     return file
 
 
@@ -106,7 +113,7 @@ def estimate(
         begin[INDEX[name]] = value
     course = np.ascontiguousarray(angle, float)
     with log_of(voltage, current, sample_time) as log:
-        outcome = library().fo_estimate(
+        outcome = library().fo_estimate_log(
             ctypes.byref(log),
             ctypes.byref(file),
             pointer(course),

@@ -28,9 +28,10 @@ INDEX = {name: k for k, name in enumerate(NAMES)}
 #: Orders of the harmonics of the flux; each has two coefficients after the parameters.
 ORDERS = tuple(map(int, re.findall(r"ORDER\((-?\d+)\)", HEADER)))
 UNKNOWNS = N + 2 * len(ORDERS)
-#: States of the filter; of them flux, angle and speed are kept.
-STATES, OWN = 9, 4
-ELEMENTS = 31
+#: States of the filter; of them flux, angle, speed and ψ are kept.
+STATES, OWN = 10, 5
+ELEMENTS = 43
+FIRMWARE = ENGINE.parent / "firmware"
 NUMBERS = ctypes.POINTER(ctypes.c_double)
 
 
@@ -46,7 +47,22 @@ class Log(ctypes.Structure):
 
 
 #: Where the model is linearised at a row; see engine/innovations.h.
-COURSE = np.dtype([("flux", float, 2), ("angle", float), ("unrest", float)])
+COURSE = np.dtype([("flux", float, 2), ("angle", float), ("psi", float), ("unrest", float)])
+
+
+class Machine(ctypes.Structure):
+    """What a machine is, besides its parameters; see engine/relation.h."""
+
+    _fields_ = (
+        ("map", ctypes.c_void_p),
+        ("cage", ctypes.c_bool),
+        ("current", ctypes.c_double),
+        ("psi_rate", ctypes.c_double),
+    )
+
+
+#: A machine with magnets and constant inductances; its rated current scales the saturation.
+LINEAR = Machine(None, False, 12.0, 0.0)
 
 
 class Start(ctypes.Structure):
@@ -55,7 +71,7 @@ class Start(ctypes.Structure):
     _fields_ = (
         *(
             (f"{name}_std", ctypes.c_double)
-            for name in ("flux", "angle", "speed", "acceleration", "drift")
+            for name in ("flux", "angle", "speed", "psi", "acceleration", "drift")
         ),
         ("skipped", ctypes.c_size_t),
     )
@@ -70,8 +86,9 @@ class Row(ctypes.Structure):
         ("error", ctypes.c_double * 2),
         ("inverse", ctypes.c_double * 3),
         ("K", ctypes.c_double * (2 * STATES)),
-        ("by_flux", ctypes.c_double * 3),
+        ("by_flux", ctypes.c_double * 4),
         ("by_angle", ctypes.c_double * 2),
+        ("by_psi", ctypes.c_double * 2),
         ("F", ctypes.c_double * ELEMENTS),
         ("error_by", ctypes.c_double * (2 * UNKNOWNS)),
         ("own_by", ctypes.c_double * (2 * UNKNOWNS)),
@@ -116,7 +133,9 @@ class Likelihood:
 def library(innovations: Path = ENGINE / "innovations.c") -> ctypes.CDLL:
     """Compile the engine with this source of the likelihood as a shared library, and load it."""
     options = ["-std=c99", "-O3", "-ffp-contract=off", "-fPIC", "-shared", f"-I{ENGINE}"]
+    options.append(f"-I{FIRMWARE}")
     others = [path for path in sorted(ENGINE.glob("*.c")) if path.name != "innovations.c"]
+    others.append(FIRMWARE / "fluxobs_map.c")
     with tempfile.TemporaryDirectory() as folder:
         built = build_program(["gcc"], options, [innovations, *others], Path(folder) / "engine.so")
         loaded = ctypes.CDLL(str(built))
@@ -138,7 +157,7 @@ def course_of(current: Complex, angle: Array, parameters: Array) -> NDArray[np.v
     flux = (psi + L_d * i.real + 1j * L_q * i.imag) * np.exp(1j * angle)
     course = np.ones(len(angle), COURSE)
     course["flux"] = np.stack([flux.real, flux.imag], axis=1)
-    course["angle"] = angle
+    course["angle"], course["psi"] = angle, 0.0
     return course
 
 
@@ -150,12 +169,14 @@ def likelihood(
     course: NDArray[np.void],
     start: Start,
     own: ctypes.CDLL | None = None,
+    machine: Machine = LINEAR,
 ) -> Likelihood:
     """Evaluate a log at the parameters; AssertionError if a number is not finite."""
     rows, out = (Row * len(current))(), _Likelihood()
     with log_of(voltage, current, sample_time) as log:
         done = (own or library()).fo_innovations(
             ctypes.byref(log),
+            ctypes.byref(machine),
             pointer(course),
             pointer(all_parameters(parameters)),
             ctypes.byref(start),
@@ -187,10 +208,11 @@ def settled(
     start: Start,
     own: ctypes.CDLL | None = None,
     passes: int = 3,
+    machine: Machine = LINEAR,
 ) -> tuple[Likelihood, NDArray[np.void]]:
     """Evaluate a log about the course that its smoothing settles at."""
-    got = likelihood(voltage, current, sample_time, parameters, course, start, own)
+    got = likelihood(voltage, current, sample_time, parameters, course, start, own, machine)
     for _ in range(passes):
         course = smoothed_course(got, course)
-        got = likelihood(voltage, current, sample_time, parameters, course, start, own)
+        got = likelihood(voltage, current, sample_time, parameters, course, start, own, machine)
     return got, course

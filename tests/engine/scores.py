@@ -18,7 +18,7 @@ TESTED = (
 #: Rows until the innovations count, and the error of the course at first [rad].
 SKIPPED, ERROR = 300, 0.05
 #: The state at the first row is hardly known.
-START = Start(4e-2, 1.8, 3e2, 1e4, 0.05, SKIPPED)
+START = Start(4e-2, 1.8, 3e2, 0.0, 1e4, 0.05, SKIPPED)
 
 
 @dataclass(frozen=True, eq=False)

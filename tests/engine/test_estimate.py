@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from engine.estimates import Estimate, NoEstimate, degrees, estimate, file_of, smoothed
 from engine.likelihood import (
+    ELEMENTS,
     INDEX,
     OWN,
     STATES,
@@ -28,8 +29,8 @@ from engine.loop import INTERIOR, SURFACE, Conditions, Record, simulated
 from engine.scores import START, parameters_of
 
 H = 1e-4
-#: Index of the angle among the states.
-ANGLE = 2
+#: Indices of the angle and of ψ among the states.
+ANGLE, PSI = 2, 4
 #: Of the likelihood: levels, loss and offsets, the rest with its bases, the unrest.
 MOST_EVALUATIONS = 30 + 2 * 60 + 40
 #: Drives of a kind. The mean of (error/σ)² over them scatters by about √(2/12) in each drive.
@@ -105,7 +106,9 @@ def test_smoothing_is_the_sum_over_all_innovations():
     """x_s = x + Σ C S⁻¹ e and P_s = P − Σ C S⁻¹ Cᵀ with C = cov(x, e), row by row."""
     rows = settled_drive(0.03)[-1].rows
     own = smoothed(rows, H)
-    pattern = np.array((ctypes.c_ubyte * (2 * 31)).in_dll(library(), "fo_pattern")).reshape(-1, 2)
+    pattern = np.array((ctypes.c_ubyte * (2 * ELEMENTS)).in_dll(library(), "fo_pattern")).reshape(
+        -1, 2
+    )
     for first in (5, 17, 150, 299):
         P = rows["P"][first].reshape(OWN, STATES)
         angle, variance = rows["own"][first, ANGLE], P[ANGLE, ANGLE]
@@ -114,10 +117,10 @@ def test_smoothing_is_the_sum_over_all_innovations():
             F = np.zeros((STATES, STATES))
             np.add.at(F, (pattern[:, 0], pattern[:, 1]), rows["F"][k - 1])
             chain = F @ chain
-            a, b, c = rows["by_flux"][k]
             measurement = np.zeros((2, STATES))
-            measurement[:, :2] = [[a, b], [b, c]]
+            measurement[:, :2] = rows["by_flux"][k].reshape(2, 2)
             measurement[:, ANGLE] = rows["by_angle"][k]
+            measurement[:, PSI] = rows["by_psi"][k]
             measurement[:, -2:] = np.eye(2)
             v, w, x = rows["inverse"][k]
             C, V = measurement @ chain, np.array([[v, w], [w, x]])

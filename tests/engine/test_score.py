@@ -71,9 +71,10 @@ def test_score_is_the_derivative_of_the_objective(conditions):
     """About any course; slopes of the loss and the harmonics in the gain are held."""
     u, i, angle, p = log_with_everything(conditions)
     p[INDEX["loss"]] = np.log(1e-9)
+    p[INDEX["saturation_d"]] = p[INDEX["saturation_q"]] = 0.0
     p[N:] = 0.0
     course = course_of(i, angle + 0.02 * np.sin(np.arange(len(angle)) / 50), p)
-    start = Start(1e-3, 0.1, 30.0, 300.0, 0.1, 20)
+    start = Start(1e-3, 0.1, 30.0, 0.0, 300.0, 0.1, 20)
     got = likelihood(u, i, 1e-4, p, course, start)
     for name in EXACT:
         k = INDEX[name]
@@ -94,9 +95,9 @@ def test_score_about_the_smoothed_course(conditions):
     u, i = record.voltage[:, 0], record.current[:, 0]
     p = all_parameters(parameters_of(conditions))
     p[N:] = 2e-7 * np.random.default_rng(0).standard_normal(UNKNOWNS - N)
-    start = Start(4e-2, 1.8, 3e2, 1e4, 0.05, 20)
+    start = Start(4e-2, 1.8, 3e2, 0.0, 1e4, 0.05, 20)
     got, course = settled(u, i, 1e-4, p, course_of(i, record.angle[:, 0], p), start)
-    stds = 1 / np.sqrt(np.diag(got.information))
+    stds = 1 / np.sqrt(np.maximum(np.diag(got.information), 1e-12))
     for k in range(UNKNOWNS):
         if stds[k] > 100:  # the log does not tell
             continue

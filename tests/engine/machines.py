@@ -1,0 +1,92 @@
+"""Machine files of the engine from those of the library."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+from engine.estimates import TOLERANCES, File, with_errors
+from fluxobs import InductionMachine
+from fluxobs.machines.rotating import RotatingMachine
+from fluxobs.smoothing.record import MAP_FIELDS
+
+
+class FluxMap(ctypes.Structure):
+    """fo_map; see firmware/fluxobs_map.h."""
+
+    _fields_ = (
+        ("kind", ctypes.c_int),
+        ("magnets", ctypes.c_bool),
+        ("nodes_d", ctypes.c_int32),
+        ("nodes_q", ctypes.c_int32),
+        *((name, ctypes.c_double) for name in MAP_FIELDS),
+        ("coefficients", ctypes.POINTER(ctypes.c_double)),
+    )
+
+
+def flux_map(machine: RotatingMachine, sample_time: float) -> FluxMap:
+    """Return the flux map of a machine that saturates."""
+    core = machine.map_for(sample_time, usual_flux(machine, machine.rated_current or 1.0)).core()
+    table = np.ascontiguousarray(core["coefficients"], float)
+    numbers = [float(core[name]) for name in MAP_FIELDS]
+    pointer = table.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+    own = FluxMap(int(core["kind"]), core["magnets"], *table.shape[:2], *numbers, pointer)
+    own.table = table  # as long as the map
+    return own
+
+
+def usual_flux(machine: RotatingMachine, current: float) -> float:
+    """Return the flux that usually turns with the rotor [Wb], at this rated current."""
+    flux = machine.flux_base(current, machine.magnet_flux)
+    assert flux is not None
+    return flux
+
+
+def machine_file(
+    machine: RotatingMachine,
+    sample_time: float,
+    lag: tuple[float, float] = (0.0, 0.1),
+    current: float | None = None,
+    voltage: float | None = None,
+    true: dict[str, float] | None = None,
+) -> File:
+    """Return the file of a machine, with ordinary tolerances.
+
+    Parameters
+    ----------
+    machine : RotatingMachine
+    sample_time : float
+        [s].
+    lag : (float, float)
+        That the voltages act later than the log says: mean and std [samples].
+    current : float, optional
+        Rated current [A], if the machine has none.
+    voltage : float, optional
+        Usual voltage [V] of a drive with errors of its sensors, iron loss and heat.
+    true : dict, optional
+        Factors on the values of the file.
+    """
+    factors = true or {}
+    rated = machine.rated_current or current
+    assert rated is not None
+    flux, cage = usual_flux(machine, rated), isinstance(machine, InductionMachine)
+    L_d, L_q = machine.L_dq
+    psi = 0.0 if cage else machine.magnet_flux or 0.0
+    file = File(machine.R_s * factors.get("R", 1.0), L_d, L_q, psi, rated, *TOLERANCES)
+    file.psi_f *= factors.get("psi", 1.0)
+    if machine.saturation is not None:
+        file.kept = flux_map(machine, sample_time)  # as long as the file
+        file.map = ctypes.addressof(file.kept)
+        file.L_d = file.L_q = 1.0
+    for name in ("L_d", "L_q"):
+        scale = factors.get(name, factors.get("L_s", factors.get("L_sigma", 1.0)))
+        setattr(file, name, getattr(file, name) * scale)
+    file.flux = flux * factors.get("psi", 1.0)
+    if cage:
+        file.R_R, file.L_M = (
+            getattr(machine, name) * factors.get(name, 1.0) for name in ("R_R", "L_M")
+        )
+        file.cage_std = 0.3
+    file.lag, file.lag_std = lag
+    return with_errors(file, voltage)
