@@ -8,7 +8,7 @@ enum {
     SKIPPED = 20,     /* rows until innovations count: the first speed is rough */
     FIRST = 30,       /* evaluations of the first stage, at most */
     MOST = 60,        /* of the second */
-    LAST = 40         /* of the third: what is left of the unrest hardly moves the rest */
+    LAST = 300         /* of the third: what is left of the unrest hardly moves the rest */
 };
 /* Half squares: a stage ends when a step is expected to gain less. A parameter that is d standard
  * deviations off costs d²/2, so it remains within 0.3 of them. */

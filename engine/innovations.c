@@ -250,9 +250,9 @@ static void move_covariance(const transition *F, state *x)
         for (int c = 0; c < r; c++) x->P[r][c] = x->P[c][r];
 }
 
-/* An interval: its voltages and both rows of the course. */
+/* An interval: its voltage, the derivative of this by the lag, and both rows of the course. */
 typedef struct {
-    double h, now[2], before[2];
+    double h, now[2], late[2];
     double place; /* of the interval in the log, from 0 to 1 */
     const fo_course *from, *to;
     const fo_prediction *at, *next;
@@ -385,8 +385,7 @@ static void move_flux(const fo_model *m, const interval *t, const electrical *e,
 {
     const double h = t->h;
     const fo_prediction *p = t->at;
-    const double u[2] = {t->now[A] + m->lag * (t->before[A] - t->now[A]),
-                         t->now[B] + m->lag * (t->before[B] - t->now[B])};
+    const double u[2] = {t->now[A] + m->lag * t->late[A], t->now[B] + m->lag * t->late[B]};
     /* How much more the angle turns than the course. */
     fo_dual step = fo_shift(t->from->angle - t->to->angle, fo_scale(h, x->x[FO_SPEED]));
     if (m->machine.cage) step = fo_axpy(step, g->rate / g->psi, g->i_q);
@@ -572,8 +571,8 @@ static void move_sensitivity(const fo_model *m, const interval *t, const electri
         r[a][FO_L_heat - FO_C] -= h * t->place * m->R.d[0] * (a ? e->mean.b : e->mean.a).d[0];
         r[a][FO_L_loss - FO_C] -= h * m->loss * e->sign.value[a];
         r[a][FO_L_knee - FO_C] -= h * m->loss * e->sign.by_knee[a];
-        r[a][FO_L_lag - FO_C] += h * (t->before[a] - t->now[a]);
-        r[a][FO_L_delay - FO_C] += h * (t->before[a] - t->now[a]);
+        r[a][FO_L_lag - FO_C] += h * t->late[a];
+        r[a][FO_L_delay - FO_C] += h * t->late[a];
     }
     for (int a = 0; a < 2; a++)
         for (int j = 0; j < COLUMNS; j++)
@@ -687,7 +686,12 @@ bool fo_innovations(const fo_log *log, const fo_machine *machine, const fo_cours
         if (k + 1 == log->rows) break;
         const double turning = (course[k + 1].angle - course[k].angle) / h;
         fo_predict(&m, course + k + 1, turning, at.rotor, &next);
-        const interval t = {h, {held[0], held[1]}, {before[0], before[1]},
+        /* What acts late is the voltage of the row before; what acts early, that of the next row. */
+        const double *v = u + 2;
+        const double *after = isfinite(v[0]) && isfinite(v[1]) ? v : held;
+        const double late[2] = {m.lag < 0.0 ? held[0] - after[0] : before[0] - held[0],
+                                m.lag < 0.0 ? held[1] - after[1] : before[1] - held[1]};
+        const interval t = {h, {held[0], held[1]}, {late[0], late[1]},
                             (double)k / (double)log->rows,
                             course + k, course + k + 1, &at, &next};
         advance(&m, &t, &x, &F, by_means);

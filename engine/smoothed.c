@@ -107,6 +107,9 @@ static void pass_measurement(const fo_row *row, adjoint *a, size_t width)
     }
 }
 
+/* Most by which a row of the course turns in a pass [rad]: where the relation is still linear. */
+static const double longest_turn = 0.3;
+
 void fo_smooth_course(const fo_row *rows, size_t count, fo_course *out)
 {
     double lambda[FO_STATES] = {0.0};
@@ -118,10 +121,12 @@ void fo_smooth_course(const fo_row *rows, size_t count, fo_course *out)
             x[s] = row->own[s];
             for (int r = 0; r < FO_STATES; r++) x[s] -= row->P[s][r] * lambda[r];
         }
-        out[n].flux[0] = x[FO_FLUX];
-        out[n].flux[1] = x[FO_FLUX + 1];
-        out[n].angle = x[FO_ANGLE];
-        out[n].psi = x[FO_PSI];
+        const double turn = fabs(x[FO_ANGLE] - out[n].angle);
+        const double share = turn > longest_turn ? longest_turn / turn : 1.0;
+        out[n].flux[0] += share * (x[FO_FLUX] - out[n].flux[0]);
+        out[n].flux[1] += share * (x[FO_FLUX + 1] - out[n].flux[1]);
+        out[n].angle += share * (x[FO_ANGLE] - out[n].angle);
+        out[n].psi += share * (x[FO_PSI] - out[n].psi);
         if (!row->measured) continue;
         double v[2];
         weighted_error(row, row->error, v);

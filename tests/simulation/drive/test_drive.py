@@ -296,12 +296,13 @@ def test_jitter_multiplies_the_current_slope():
     run = simulate(d, Course(Profile([0.0, 0.2], [0.0, 100.0]), 540.0, load=8.0), 0.5)
     late = slice(2400, None)
     noise = (run.trace.measured_current - run.trace.current)[late]
-    # Slope just before the sample, with the last interval's voltage.
+    # Slopes just before and after the row, with the voltages of both intervals.
     trace, motor = run.trace, MACHINES["pmsm-2kw2"]
     acted = np.concatenate([[0], trace.voltage[:-1]])
     emf = 1j * motor.n_p * trace.speed * motor.psi_f * np.exp(1j * trace.theta_e)
-    slope = np.asarray((acted - motor.R_s * trace.current - emf) / motor.L_d)[late]
-    expected = jitter * np.sqrt(np.mean(np.abs(slope) ** 2))
+    lost = motor.R_s * trace.current + emf
+    slopes = [np.asarray((u - lost) / motor.L_d)[late] for u in (acted, trace.voltage)]
+    expected = jitter * np.sqrt(np.mean(np.abs(slopes) ** 2))
     assert np.sqrt(np.mean(np.abs(noise) ** 2)) == pytest.approx(expected, rel=0.05)
 
 

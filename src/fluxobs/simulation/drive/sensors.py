@@ -34,7 +34,8 @@ class Sensors(eqx.Module):
     dc_link_gain : float
         Measured DC-link voltage divided by the true DC-link voltage.
     lag : float
-        Delay of the current sensors [s], well below a sample; the sensors show i - lag di/dt.
+        Delay of the current sensors [s], well below a sample; the sensors show i - lag di/dt. If
+        it is negative, they sample after the row: di/dt is that of the next voltage.
     """
 
     offset: Profile
@@ -65,11 +66,15 @@ class Sensors(eqx.Module):
         self.jitter, self.lag = not_negative("jitter", jitter), real("lag", lag)
         self.dc_link_gain = positive("dc_link_gain", dc_link_gain)
 
+    def later(self, late: Array) -> Array:
+        """Return how much later than the row the current is sampled [s]; < 0: earlier."""
+        return jnp.asarray(self.jitter * late - self.lag)
+
     def measure(
         self, current: Array, slope: Array, offset: Array, noise: Array, late: Array
     ) -> Array:
         """Return the measured current; `slope` is di/dt, `noise` and `late` are standard normal."""
-        sensed = current + (self.jitter * late - self.lag) * slope + offset + self.noise * noise
+        sensed = current + self.later(late) * slope + offset + self.noise * noise
         abc = jnp.clip(self.gain * phases(sensed), -self.range, self.range)
         step = jnp.where(self.quantum > 0, self.quantum, 1.0)
         return from_phases(jnp.where(self.quantum > 0, step * jnp.round(abc / step), abc))

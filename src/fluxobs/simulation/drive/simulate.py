@@ -176,6 +176,7 @@ class _Loop(NamedTuple):
     plant: PlantState
     control: ControlState
     acted: Array  # Commanded voltage of the last interval.
+    lost: Array  # Commanded less true voltage of the last interval.
     pending: Array  # Commanded voltage computed last.
     observer: Any
     sensorless: SensorlessState | None
@@ -497,6 +498,7 @@ def _run(
         drive.control.init(),
         jax.lax.complex(zero, zero),
         jax.lax.complex(zero, zero),
+        jax.lax.complex(zero, zero),
         None if drive.observer is None else drive.observer.init(),
         None if drive.sensorless is None else drive.sensorless.init(),
         jnp.zeros((), bool),
@@ -518,7 +520,10 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
     motor, state = plant.motor, loop.plant
     winding_current = plant.current(state)
     current = winding_current + plant.iron_current(state)
-    rate = plant.rate(state, loop.acted, row.load)
+    # A sensor that samples later than the row sees what the next voltage does.
+    is_later = drive.sensors.later(row.late) > 0
+    at_sampling = jnp.where(is_later, loop.pending, loop.acted) if delay else loop.acted
+    rate = plant.rate(state, at_sampling - loop.lost, row.load)
     _, slope = jax.jvp(plant.terminal_current, (state,), (rate,))
     measured = drive.sensors.measure(current, slope, row.current_offset, row.noise, row.late)
     dc_link = row.dc_link * drive.sensors.dc_link_gain
@@ -606,7 +611,13 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
         reference,
         reading,
     )
-    return _Loop(after, control_state, applied, command, observer, sensorless, tripped), trace
+    return (
+        _Loop(
+            *(after, control_state, applied, applied - mean, command),
+            *(observer, sensorless, tripped),
+        ),
+        trace,
+    )
 
 
 def _advance_plant(
