@@ -8,7 +8,7 @@ enum {
     SKIPPED = 20,     /* rows until innovations count: the first speed is rough */
     FIRST = 30,       /* evaluations of the first stage, at most */
     MOST = 60,        /* of the second */
-    LAST = 300         /* of the third: what is left of the unrest hardly moves the rest */
+    LAST = 40         /* of the third: what is left of the unrest hardly moves the rest */
 };
 /* Half squares: a stage ends when a step is expected to gain less. A parameter that is d standard
  * deviations off costs d²/2, so it remains within 0.3 of them. */
@@ -28,6 +28,19 @@ static double mean_voltage(const fo_log *record)
         known += 0.5;
     }
     return fmax(sqrt(sum / fmax(known, 1.0)), 1e-9);
+}
+
+/* Largest current of a phase. */
+static double largest_current(const fo_log *record)
+{
+    double most = 0.0;
+    for (size_t k = 0; k < record->rows; k++) {
+        const double *i = record->current + 2 * k;
+        if (!isfinite(i[0]) || !isfinite(i[1])) continue;
+        const double b = 0.5 * fabs(i[0]) + 0.86602540378443864676 * fabs(i[1]);
+        most = fmax(most, fmax(fabs(i[0]), b));
+    }
+    return most;
 }
 
 static void put(fo_prior *prior, int k, double mean, double std)
@@ -62,6 +75,7 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     put(&p, FO_L_offset_beta, 0.0, file->offset_std);
     put(&p, FO_L_gain_re, 0.0, file->gain_std);
     put(&p, FO_L_gain_im, 0.0, file->gain_std);
+    put(&p, FO_L_range, 1.05 * largest_current(record), 0.2 * largest_current(record));
     put(&p, FO_L_saturation_d, 0.0, file->saturation_std);
     put(&p, FO_L_saturation_q, 0.0, file->saturation_std);
     if (file->R_R > 0.0) {
@@ -85,6 +99,8 @@ static void begin(const fo_log *record, const fo_file *file, const fo_prior *pri
     out->parameters[FO_L_noise] = log(0.02 * file->rated_current);
     out->parameters[FO_L_voltage] = log(0.01 * u * sqrt(fabs(record->sample_time)));
     out->parameters[FO_L_drift] = log(0.02 * u);
+    /* Below the largest current: from there it goes up if no sensor is at its limit. */
+    out->parameters[FO_L_range] = 0.93 * largest_current(record);
     out->harmonics = prior->harmonics;
     for (int k = 0; parameters && k < FO_UNKNOWNS; k++)
         if (isfinite(parameters[k])) out->parameters[k] = parameters[k];
@@ -134,62 +150,105 @@ static void set_course(const fo_log *record, const fo_machine *machine, const do
         double dq[2];
         fo_flux_of(&m, psi + m.psi.d[0], rotor, dq);
         course[k] = (fo_course){
-            {c * dq[0] - s * dq[1], s * dq[0] + c * dq[1]}, angle[k], psi, 1.0};
+            {c * dq[0] - s * dq[1], s * dq[0] + c * dq[1]}, angle[k], psi, 1.0, 1.0};
     }
 }
 
-/* First levels, the loss and the offsets, about the given course; then all but the mobility, which
- * moves when the rest is nearly right; then all, with the unrest of the acceleration, which takes its
- * level along. */
-static bool learn(const fo_log *record, const fo_machine *machine, const fo_start *start,
-                  const fo_prior *prior, fo_course *course, fo_row *rows, double *changes,
-                  fo_posterior *out)
+/* What learning works on. */
+typedef struct {
+    const fo_log *record;
+    fo_machine machine;
+    fo_start start;
+    fo_course *course;
+    fo_row *rows;
+    fo_squares *squares;
+} work;
+
+static bool stage_of(const work *w, const fo_prior *prior, const fo_stage *stage, fo_posterior *out)
 {
-    bool some[FO_L] = {false}, most[FO_L], last[FO_L];
-    static const int early[] = {FO_L_noise, FO_L_acceleration, FO_L_voltage, FO_L_drift,
-                                FO_L_loss, FO_L_knee, FO_L_offset_alpha, FO_L_offset_beta};
+    return fo_learn(w->record, &w->machine, &w->start, prior, stage, w->course, w->rows, w->squares,
+                    out);
+}
+
+/* First levels, the loss and the sensors, about the given course; then all but the mobility, which moves
+ * when the rest is nearly right. */
+static bool begin_learning(const work *w, const fo_prior *prior, fo_posterior *out)
+{
+    bool some[FO_L] = {false}, most[FO_L];
+    static const int early[] = {FO_L_noise, FO_L_acceleration, FO_L_voltage, FO_L_drift, FO_L_loss,
+                                FO_L_knee, FO_L_offset_alpha, FO_L_offset_beta, FO_L_range};
     for (size_t k = 0; k < sizeof early / sizeof *early; k++) some[early[k]] = true;
-    for (int k = 0; k < FO_L; k++) {
-        most[k] = k != FO_L_mobility;
-        last[k] = k != FO_L_acceleration;
-    }
-    const fo_stage stages[3] = {{some, rough, FIRST, false, false},
-                                {most, coarse, MOST, true, false},
-                                {last, fine, LAST, true, true}};
+    for (int k = 0; k < FO_L; k++) most[k] = k != FO_L_mobility;
     fo_prior first = *prior;
     first.harmonics = 0.0;
-    for (int n = 0; n < 3; n++)
-        if (!fo_learn(record, machine, start, n ? prior : &first, &stages[n], course, rows, changes,
-                      out))
-            return false;
-    return true;
+    const fo_stage stages[2] = {{some, rough, FIRST, false, false}, {most, coarse, MOST, true, false}};
+    return stage_of(w, &first, &stages[0], out) && stage_of(w, prior, &stages[1], out);
+}
+
+/* All, with the unrest of the acceleration, which takes its level along. */
+static bool end_learning(const work *w, const fo_prior *prior, fo_posterior *out)
+{
+    bool last[FO_L];
+    for (int k = 0; k < FO_L; k++) last[k] = k != FO_L_acceleration;
+    const fo_stage stage = {last, fine, LAST, true, true};
+    return stage_of(w, prior, &stage, out);
+}
+
+/* Both hypotheses on the sensors of the current, with and without a limit of their range: the smaller
+ * objective counts. `other`: working space. */
+static bool learn(work *w, const fo_file *file, const fo_prior *prior, const double *angle,
+                  const double *parameters, fo_course *other, fo_posterior *out)
+{
+    const double none = 0.0;
+    fo_prior priors[2] = {*prior, *prior};
+    put(&priors[0], FO_L_range, none, 0.0);
+    fo_posterior posteriors[2];
+    fo_course *courses[2] = {w->course, other};
+    int best = -1;
+    for (int n = 0; n < 2; n++) {
+        begin(w->record, file, &priors[n], parameters, &posteriors[n]);
+        if (n == 0) posteriors[n].parameters[FO_L_range] = none;
+        w->course = courses[n];
+        set_course(w->record, &w->machine, angle, posteriors[n].parameters, w->course);
+        const bool learnt = begin_learning(w, &priors[n], &posteriors[n]);
+        if (learnt && (best < 0 || posteriors[n].objective < posteriors[best].objective)) best = n;
+    }
+    if (best < 0) return false;
+    w->course = courses[best];
+    const bool learnt = end_learning(w, &priors[best], &posteriors[best]);
+    *out = posteriors[best];
+    out->evaluations = posteriors[0].evaluations + posteriors[1].evaluations;
+    fo_likelihood last;
+    return learnt &&
+           fo_innovations(w->record, &w->machine, w->course, out->parameters, &w->start, &last,
+                          w->rows) &&
+           fo_covariance(&last, &priors[best], out);
 }
 
 fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angle,
-                       const double *parameters, fo_posterior *posterior, fo_smoothed *rows)
+                           const double *parameters, fo_posterior *posterior, fo_smoothed *rows)
 {
     const fo_prior prior = fo_ordinary_prior(record, file);
-    const fo_start start = any_start(record, file);
-    const fo_machine machine = machine_of(file);
-    fo_row *kept = malloc(record->rows * sizeof *kept);
     fo_course *course = malloc(record->rows * sizeof *course);
-    double *changes = malloc(record->rows * sizeof *changes);
+    fo_course *other = malloc(record->rows * sizeof *other);
+    work w = {.record = record,
+              .machine = machine_of(file),
+              .start = any_start(record, file),
+              .course = course,
+              .rows = malloc(record->rows * sizeof(fo_row)),
+              .squares = malloc(record->rows * sizeof(fo_squares))};
     fo_outcome outcome = FO_NO_MEMORY;
-    if (kept && course && changes) {
-        fo_likelihood last;
-        begin(record, file, &prior, parameters, posterior);
-        set_course(record, &machine, angle, posterior->parameters, course);
+    if (course && other && w.rows && w.squares) {
         outcome = FO_NO_ESTIMATE;
-        if (learn(record, &machine, &start, &prior, course, kept, changes, posterior) &&
-            fo_innovations(record, &machine, course, posterior->parameters, &start, &last, kept) &&
-            fo_covariance(&last, &prior, posterior)) {
-            fo_smooth(kept, record->rows, record->sample_time, posterior->parameters,
+        if (learn(&w, file, &prior, angle, parameters, other, posterior)) {
+            fo_smooth(w.rows, record->rows, record->sample_time, posterior->parameters,
                       posterior->covariance, rows);
             outcome = FO_ESTIMATED;
         }
     }
-    free(kept);
     free(course);
-    free(changes);
+    free(other);
+    free(w.rows);
+    free(w.squares);
     return outcome;
 }

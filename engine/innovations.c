@@ -73,9 +73,46 @@ static void start_at(const fo_model *m, const fo_course *course, const fo_start 
             fo_mul(fo_mul(m->colour, m->colour), m->noise);
 }
 
+/* Derivatives of the measured current. */
+typedef struct {
+    fo_dual by_flux[2][2], by_angle[2], by_psi[2];
+} measurement;
+
+static fo_dual sensed(const fo_prediction *p, int a, const fo_dual *x, const fo_dual *y)
+{
+    return fo_axpy(fo_scale(p->sensed[a][A], *x), p->sensed[a][B], *y);
+}
+
+static measurement measurement_of(const fo_prediction *p)
+{
+    measurement H;
+    memcpy(H.by_flux, p->by_flux, sizeof H.by_flux);
+    memcpy(H.by_angle, p->by_angle, sizeof H.by_angle);
+    memcpy(H.by_psi, p->by_psi, sizeof H.by_psi);
+    if (!p->clipped) return H;
+    for (int a = 0; a < 2; a++) {
+        for (int b = 0; b < 2; b++)
+            H.by_flux[a][b] = sensed(p, a, &p->by_flux[A][b], &p->by_flux[B][b]);
+        H.by_angle[a] = sensed(p, a, &p->by_angle[A], &p->by_angle[B]);
+        H.by_psi[a] = sensed(p, a, &p->by_psi[A], &p->by_psi[B]);
+    }
+    return H;
+}
+
+/* Noise of a sensor at its limit does not pass it either, but for this share, which the converter
+ * makes. */
+static const double behind = 0.1;
+
+static double noise_of(const fo_prediction *p, int a, int b)
+{
+    if (!p->clipped) return a == b ? 1.0 : 0.0;
+    const double passed = p->sensed[a][A] * p->sensed[b][A] + p->sensed[a][B] * p->sensed[b][B];
+    return (1.0 - behind) * passed + (a == b ? behind : 0.0);
+}
+
 /* Measurement update. */
 static bool measure(const fo_model *m, const double measured[2], const fo_course *at,
-                    const fo_prediction *p, state *x, update *z)
+                    const fo_prediction *p, const measurement *H, state *x, update *z)
 {
     const int states = x->states;
     const fo_dual flux[2] = {fo_shift(-at->flux[A], x->x[FO_FLUX]),
@@ -87,28 +124,28 @@ static bool measure(const fo_model *m, const double measured[2], const fo_course
     for (int a = 0; a < 2; a++) {
         const fo_dual i = a ? p->measured.b : p->measured.a;
         fo_dual e = fo_shift(measured[a], fo_scale(-1.0, i));
-        fo_reduce(&e, &p->by_flux[a][A], &flux[A]);
-        fo_reduce(&e, &p->by_flux[a][B], &flux[B]);
-        fo_reduce(&e, &p->by_angle[a], &angle);
-        fo_reduce(&e, &p->by_psi[a], &psi);
+        fo_reduce(&e, &H->by_flux[a][A], &flux[A]);
+        fo_reduce(&e, &H->by_flux[a][B], &flux[B]);
+        fo_reduce(&e, &H->by_angle[a], &angle);
+        fo_reduce(&e, &H->by_psi[a], &psi);
         if (states > FO_WHITE) e = fo_sub(e, x->x[FO_NOISE + a]);
         z->e[a] = e;
         for (int r = 0; r < states; r++) {
             const fo_dual *P = x->P[r];
-            fo_product(&PH[r][a], &P[FO_FLUX], &p->by_flux[a][A]);
-            fo_accumulate(&PH[r][a], &P[FO_FLUX + 1], &p->by_flux[a][B]);
-            fo_accumulate(&PH[r][a], &P[FO_ANGLE], &p->by_angle[a]);
-            fo_accumulate(&PH[r][a], &P[FO_PSI], &p->by_psi[a]);
+            fo_product(&PH[r][a], &P[FO_FLUX], &H->by_flux[a][A]);
+            fo_accumulate(&PH[r][a], &P[FO_FLUX + 1], &H->by_flux[a][B]);
+            fo_accumulate(&PH[r][a], &P[FO_ANGLE], &H->by_angle[a]);
+            fo_accumulate(&PH[r][a], &P[FO_PSI], &H->by_psi[a]);
             if (states > FO_WHITE) PH[r][a] = fo_add(PH[r][a], P[FO_NOISE + a]);
         }
     }
     for (int a = 0; a < 2; a++)
         for (int b = a; b < 2; b++) {
-            fo_dual S = a == b ? m->noise : fo_constant(0.0);
-            fo_accumulate(&S, &p->by_flux[a][A], &PH[FO_FLUX][b]);
-            fo_accumulate(&S, &p->by_flux[a][B], &PH[FO_FLUX + 1][b]);
-            fo_accumulate(&S, &p->by_angle[a], &PH[FO_ANGLE][b]);
-            fo_accumulate(&S, &p->by_psi[a], &PH[FO_PSI][b]);
+            fo_dual S = fo_scale(at->doubt * noise_of(p, a, b), m->noise);
+            fo_accumulate(&S, &H->by_flux[a][A], &PH[FO_FLUX][b]);
+            fo_accumulate(&S, &H->by_flux[a][B], &PH[FO_FLUX + 1][b]);
+            fo_accumulate(&S, &H->by_angle[a], &PH[FO_ANGLE][b]);
+            fo_accumulate(&S, &H->by_psi[a], &PH[FO_PSI][b]);
             if (states > FO_WHITE) S = fo_add(S, PH[FO_NOISE + a][b]);
             z->S[a][b] = z->S[b][a] = S;
         }
@@ -134,27 +171,29 @@ static bool measure(const fo_model *m, const double measured[2], const fo_course
             x->P[c][r] = x->P[r][c];
         }
     }
-    fo_product(&x->residual.a, &m->noise, &z->w[A]);
-    fo_product(&x->residual.b, &m->noise, &z->w[B]);
+    const fo_dual noise = fo_scale(at->doubt, m->noise);
+    fo_product(&x->residual.a, &noise, &z->w[A]);
+    fo_product(&x->residual.b, &noise, &z->w[B]);
     x->measured = true;
     return true;
 }
 
 /* Derivatives of the innovation by all parameters, and the update of those of the state by the
  * parameters of the means. */
-static void error_derivatives(const fo_prediction *p, const update *z, int states, sensitivity x,
+static void error_derivatives(const fo_prediction *p, const measurement *H, const update *z, int states, sensitivity x,
                               double by[2][FO_UNKNOWNS])
 {
     for (int a = 0; a < 2; a++) {
         for (int k = 0; k < FO_C; k++) by[a][k] = z->e[a].d[k + 1];
         for (int k = 0; k < COLUMNS; k++) {
-            double e = -p->measured_by[a][k] - p->by_flux[a][A].d[0] * x[FO_FLUX][k] -
-                       p->by_flux[a][B].d[0] * x[FO_FLUX + 1][k] -
-                       p->by_angle[a].d[0] * x[FO_ANGLE][k] - p->by_psi[a].d[0] * x[FO_PSI][k];
+            double e = -p->measured_by[a][k] - H->by_flux[a][A].d[0] * x[FO_FLUX][k] -
+                       H->by_flux[a][B].d[0] * x[FO_FLUX + 1][k] -
+                       H->by_angle[a].d[0] * x[FO_ANGLE][k] - H->by_psi[a].d[0] * x[FO_PSI][k];
             if (states > FO_WHITE) e -= x[FO_NOISE + a][k];
             by[a][FO_C + k] = e;
         }
-        for (int k = 0; k < 2 * FO_ORDERS; k++) by[a][FO_L + k] -= p->angle_by[a][k] * z->angle;
+        for (int k = 0; k < 2 * FO_ORDERS; k++) by[a][FO_L + k] -= z->angle * (p->sensed[a][A] * p->angle_by[A][k] +
+                                            p->sensed[a][B] * p->angle_by[B][k]);
     }
     for (int r = 0; r < states; r++)
         for (int k = 0; k < COLUMNS; k++)
@@ -256,40 +295,45 @@ typedef struct {
     double place; /* of the interval in the log, from 0 to 1 */
     const fo_course *from, *to;
     const fo_prediction *at, *next;
+    const measurement *sensed; /* at the row before it */
 } interval;
 
-/* The electrical part of an interval. Flux and current change within it: with X = h (R + S') ∂i/∂λ the
- * current at its end counts W = ½ + Xᵀ/12 in its mean (the series of 1/(1 − e^{−x}) − 1/x), and
- * λ⁺ = λ̄⁺ + M r with M = (1 + X/2 + X²/12)⁻¹: the flux decays by the Padé approximation of e^{−X}. */
+/* The electrical part of an interval. Flux and current change within it. With X = h R ∂i/∂λ the current
+ * at its end counts W = ½ + Xᵀ/12 in its mean (the series of 1/(1 − e^{−x}) − 1/x). A leg of the
+ * inverter switches twice, around the middle, so its loss is that of the middle current: Y = h V S'
+ * ∂i/∂λ counts half at each end. λ⁺ = λ̄⁺ + M r with M = (1 + X/2 + X²/12 + Y/2)⁻¹: the flux decays by the
+ * Padé approximation of e^{−X}. */
 typedef struct {
     fo_dual W[2][2];
     fo_dual R;             /* now [Ω] */
-    fo_dual slope[2][2];   /* h (R + S') */
-    fo_dual half[2][2];    /* X/2 − X²/12 */
+    fo_dual slope[2][2];   /* h (R + V S') */
+    fo_dual half[2][2];    /* X/2 − X²/12 + Y/2 */
     fo_dual M[2][2];
-    fo_pair mean;          /* mean current of the course */
-    fo_signs sign;
+    fo_pair mean, middle;  /* currents of the course */
+    fo_signs sign;         /* of the middle one */
 } electrical;
 
-/* Mean of the course's current: its ends, weighted, less a twelfth of its second difference, by which
- * ∂i/∂θ and ∂i/∂λ turn with the rotor. */
-static fo_pair mean_current(const interval *t, fo_dual W[2][2])
+/* Mean and middle of the course's current: its ends, weighted, less a twelfth and an eighth of its second
+ * difference, by which ∂i/∂θ and ∂i/∂λ turn with the rotor. */
+static void currents_of(const interval *t, electrical *e)
 {
     const fo_dual step[2] = {fo_sub(t->next->terminal.a, t->at->terminal.a),
                              fo_sub(t->next->terminal.b, t->at->terminal.b)};
     const double turn = t->to->angle - t->from->angle;
     const double change[2] = {t->to->flux[A] - t->from->flux[A], t->to->flux[B] - t->from->flux[B]};
-    fo_dual mean[2];
+    fo_dual mean[2], middle[2];
     for (int a = 0; a < 2; a++) {
         mean[a] = a ? t->at->terminal.b : t->at->terminal.a;
-        for (int b = 0; b < 2; b++) fo_accumulate(&mean[a], &W[a][b], &step[b]);
+        middle[a] = fo_axpy(mean[a], 0.5, step[a]);
+        for (int b = 0; b < 2; b++) fo_accumulate(&mean[a], &e->W[a][b], &step[b]);
         fo_dual bend = fo_scale(turn, fo_sub(t->next->by_angle[a], t->at->by_angle[a]));
         for (int b = 0; b < 2; b++)
             bend = fo_axpy(bend, change[b], fo_sub(t->next->by_flux[a][b], t->at->by_flux[a][b]));
         fo_accumulate_scaled(&mean[a], -1.0 / 12.0, &bend);
+        fo_accumulate_scaled(&middle[a], -1.0 / 8.0, &bend);
     }
-    const fo_pair r = {mean[A], mean[B]};
-    return r;
+    e->mean = (fo_pair){mean[A], mean[B]};
+    e->middle = (fo_pair){middle[A], middle[B]};
 }
 
 static void matrix_product(fo_dual x[2][2], fo_dual y[2][2], fo_dual out[2][2])
@@ -312,15 +356,18 @@ static electrical electrical_of(const fo_model *m, const interval *t)
             e.slope[a][b] = fo_constant(t->h * m->loss * about.by_current[a][b]);
             if (a == b) e.slope[a][b] = fo_axpy(e.slope[a][b], t->h, e.R);
         }
-    fo_dual by_flux[2][2], X[2][2], square[2][2], whole[2][2];
+    const fo_dual hR = fo_scale(t->h, e.R);
+    fo_dual by_flux[2][2], X[2][2], both[2][2], square[2][2], whole[2][2];
     memcpy(by_flux, t->at->by_flux, sizeof by_flux);
-    matrix_product(e.slope, by_flux, X);
+    for (int a = 0; a < 2; a++)
+        for (int b = 0; b < 2; b++) X[a][b] = fo_mul(hR, by_flux[a][b]);
+    matrix_product(e.slope, by_flux, both);
     matrix_product(X, X, square);
     for (int a = 0; a < 2; a++)
         for (int b = 0; b < 2; b++) {
             e.W[a][b] = fo_shift(a == b ? 0.5 : 0.0, fo_scale(1.0 / 12.0, X[b][a]));
-            e.half[a][b] = fo_axpy(fo_scale(0.5, X[a][b]), -1.0 / 12.0, square[a][b]);
-            whole[a][b] = fo_axpy(fo_scale(0.5, X[a][b]), 1.0 / 12.0, square[a][b]);
+            e.half[a][b] = fo_axpy(fo_scale(0.5, both[a][b]), -1.0 / 12.0, square[a][b]);
+            whole[a][b] = fo_axpy(fo_scale(0.5, both[a][b]), 1.0 / 12.0, square[a][b]);
             if (a == b) whole[a][b].d[0] += 1.0;
         }
     const fo_dual inverse =
@@ -329,8 +376,8 @@ static electrical electrical_of(const fo_model *m, const interval *t)
     fo_product(&e.M[1][1], &whole[0][0], &inverse);
     e.M[0][1] = fo_scale(-1.0, fo_mul(whole[0][1], inverse));
     e.M[1][0] = fo_scale(-1.0, fo_mul(whole[1][0], inverse));
-    e.mean = mean_current(t, e.W);
-    e.sign = fo_signs_of(m, e.mean.a.d[0], e.mean.b.d[0]);
+    currents_of(t, &e);
+    e.sign = fo_signs_of(m, e.middle.a.d[0], e.middle.b.d[0]);
     return e;
 }
 
@@ -401,8 +448,8 @@ static void move_flux(const fo_model *m, const interval *t, const electrical *e,
         r[a] = fo_axpy(r[a], -h, fo_mul(e->R, i));
         r[a].d[0] -= h * m->loss * e->sign.value[a];
         for (int k = 1; k < FO_WIDTH; k++)
-            r[a].d[k] -= h * m->loss * (e->sign.by_current[a][A] * e->mean.a.d[k] +
-                                        e->sign.by_current[a][B] * e->mean.b.d[k]);
+            r[a].d[k] -= h * m->loss * (e->sign.by_current[a][A] * e->middle.a.d[k] +
+                                        e->sign.by_current[a][B] * e->middle.b.d[k]);
         fo_product(&by_angle[a], &e->slope[a][A], &p->by_angle[A]);
         fo_accumulate(&by_angle[a], &e->slope[a][B], &p->by_angle[B]);
         fo_product(&by_psi[a], &e->slope[a][A], &p->by_psi[A]);
@@ -510,7 +557,7 @@ static void move_rotor(const fo_model *m, const interval *t, const cage *g, cons
 }
 
 /* Predictable part of the noise after the interval. */
-static void move_noise(const fo_model *m, const fo_prediction *p, state *x, transition *F)
+static void move_noise(const fo_model *m, const measurement *H, state *x, transition *F)
 {
     const fo_dual colour = x->measured ? m->colour : fo_constant(0.0);
     const fo_dual memory = fo_sub(m->pole, colour);
@@ -519,9 +566,9 @@ static void move_noise(const fo_model *m, const fo_prediction *p, state *x, tran
         fo_accumulate(&n, &m->colour, a ? &x->residual.b : &x->residual.a);
         x->x[FO_NOISE + a] = n;
         put(F, memory);
-        for (int b = 0; b < 2; b++) put(F, fo_scale(-1.0, fo_mul(colour, p->by_flux[a][b])));
-        put(F, fo_scale(-1.0, fo_mul(colour, p->by_angle[a])));
-        put(F, fo_scale(-1.0, fo_mul(colour, p->by_psi[a])));
+        for (int b = 0; b < 2; b++) put(F, fo_scale(-1.0, fo_mul(colour, H->by_flux[a][b])));
+        put(F, fo_scale(-1.0, fo_mul(colour, H->by_angle[a])));
+        put(F, fo_scale(-1.0, fo_mul(colour, H->by_psi[a])));
     }
 }
 
@@ -595,7 +642,7 @@ static void advance(const fo_model *m, const interval *t, state *x, transition *
     move_rotor(m, t, &g, flux, angle, psi, x, F);
     for (int k = FO_ACCELERATION; k < FO_NOISE; k++) put_constant(F, 1.0);
     const double colour = x->measured ? m->colour.d[0] : 0.0;
-    if (x->states > FO_WHITE) move_noise(m, t->at, x, F);
+    if (x->states > FO_WHITE) move_noise(m, t->sensed, x, F);
     move_sensitivity(m, t, &e, &g, F, colour, by);
     move_covariance(F, x);
     const double passed = fabs(t->h);
@@ -615,7 +662,7 @@ static void advance(const fo_model *m, const interval *t, state *x, transition *
 }
 
 /* Keeps a row after its measurement update. */
-static void keep_row(const state *x, const fo_prediction *p, const update *z, sensitivity by_means,
+static void keep_row(const state *x, const measurement *H, const update *z, sensitivity by_means,
                      double error_by[2][FO_UNKNOWNS], fo_row *row)
 {
     static const int own_by[2] = {FO_ANGLE, FO_SPEED};
@@ -634,9 +681,9 @@ static void keep_row(const state *x, const fo_prediction *p, const update *z, se
     memcpy(row->error_by, error_by, sizeof row->error_by);
     for (int a = 0; a < 2; a++) {
         row->error[a] = z->e[a].d[0];
-        row->by_angle[a] = p->by_angle[a].d[0];
-        row->by_psi[a] = p->by_psi[a].d[0];
-        for (int b = 0; b < 2; b++) row->by_flux[2 * a + b] = p->by_flux[a][b].d[0];
+        row->by_angle[a] = H->by_angle[a].d[0];
+        row->by_psi[a] = H->by_psi[a].d[0];
+        for (int b = 0; b < 2; b++) row->by_flux[2 * a + b] = H->by_flux[a][b].d[0];
         for (int r = 0; r < x->states; r++) row->K[r][a] = z->K[r][a].d[0];
     }
     const int at[3][2] = {{0, 0}, {0, 1}, {1, 1}};
@@ -673,16 +720,17 @@ bool fo_innovations(const fo_log *log, const fo_machine *machine, const fo_cours
     for (size_t k = 0; k < log->rows; k++) {
         const double *i = log->current + 2 * k, *u = log->voltage + 2 * k;
         const bool known = isfinite(u[0]) && isfinite(u[1]);
+        const measurement H = measurement_of(&at);
         memcpy(before, held, sizeof before);
         if (known) memcpy(held, u, sizeof held);
         if (k == 0) memcpy(before, held, sizeof before);
         if (isfinite(i[0]) && isfinite(i[1])) {
-            if (!measure(&m, i, course + k, &at, &x, &z)) return false;
-            error_derivatives(&at, &z, x.states, by_means, error_by);
+            if (!measure(&m, i, course + k, &at, &H, &x, &z)) return false;
+            error_derivatives(&at, &H, &z, x.states, by_means, error_by);
             if (k >= start->skipped) count(&z, error_by, out);
         }
         if (!isfinite(x.x[FO_ANGLE].d[0])) return false;
-        if (kept) keep_row(&x, &at, &z, by_means, error_by, kept + k);
+        if (kept) keep_row(&x, &H, &z, by_means, error_by, kept + k);
         if (k + 1 == log->rows) break;
         const double turning = (course[k + 1].angle - course[k].angle) / h;
         fo_predict(&m, course + k + 1, turning, at.rotor, &next);
@@ -693,7 +741,7 @@ bool fo_innovations(const fo_log *log, const fo_machine *machine, const fo_cours
                                 m.lag < 0.0 ? held[1] - after[1] : before[1] - held[1]};
         const interval t = {h, {held[0], held[1]}, {late[0], late[1]},
                             (double)k / (double)log->rows,
-                            course + k, course + k + 1, &at, &next};
+                            course + k, course + k + 1, &at, &next, &H};
         advance(&m, &t, &x, &F, by_means);
         if (!known) { /* held, and as uncertain as it is large */
             const double more = 0.5 * h * h * (held[0] * held[0] + held[1] * held[1]);

@@ -31,7 +31,8 @@
     NAME(offset_alpha) /* of the measured current                                         [A] */ \
     NAME(offset_beta)                                                                            \
     NAME(gain_re)      /* unequal gains of the current sensors, g in i + g conj(i)        [1] */ \
-    NAME(gain_im)
+    NAME(gain_im)                                                                              \
+    NAME(range)        /* of the sensor of a phase: larger currents read as this          [A] */
 
 /* Harmonics of the flux in rotor coordinates, Σ a e^{jhθ} [Wb]: their orders h. Unequal phases have
  * order −2, a magnet's fifth and seventh harmonic −6 and 6. Order −1 is a constant in stator

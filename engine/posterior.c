@@ -3,8 +3,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "smoothed.h"
-
 enum { MOST = FO_UNKNOWNS, MACHINE = FO_L_psi_f + 1 };
 
 /* Assumed: one machine file in twenty describes another machine, and its errors are five times as
@@ -154,6 +152,7 @@ static double longest(const fo_prior *prior, int k)
     case FO_L_saturation_q:
     case FO_L_rotor_resistance:
     case FO_L_magnetizing:
+    case FO_L_range:
     case FO_L_offset_alpha:
     case FO_L_offset_beta:
     case FO_L_gain_re:
@@ -219,15 +218,13 @@ static const double calm_rows = 1.0;
 
 /* EM: the unrest of each stretch is its mean square change, with an inverse gamma prior about one. The
  * mean of their logarithms stays zero; the level of the acceleration takes it. */
-static void learn_unrest(const fo_log *record, const fo_row *rows, double *changes, fo_course *course,
-                         double *level)
+static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course *course, double *level)
 {
     double sum = 0.0;
-    fo_smooth_changes(rows, record->rows, exp(2.0 * *level) * fabs(record->sample_time), course, changes);
     for (size_t first = 0; first < record->rows; first += CALM) {
         const size_t end = first + CALM < record->rows ? first + CALM : record->rows;
         double squares = 0.0;
-        for (size_t k = first; k < end; k++) squares += fmax(changes[k], 0.0);
+        for (size_t k = first; k < end; k++) squares += fmax(made[k].change, 0.0);
         const double n = (double)(end - first);
         const double now = course[first].unrest;
         const double step = (calm_rows / now + squares) / (calm_rows + n);
@@ -247,6 +244,37 @@ static double unrest_penalty(const fo_course *course, size_t rows)
     for (size_t k = 0; k < rows; k++)
         sum += (1.0 / course[k].unrest - 1.0) / (double)CALM;
     return 0.5 * calm_rows * sum;
+}
+
+/* A row whose noise is this many times its variance, in both components together, is doubted: of a
+ * million normal ones, 300 are. Its noise then has Student's distribution, with this many degrees of
+ * freedom, so that a row that cannot be right counts for nothing. */
+static const double doubted = 16.0, freedom = 4.0;
+
+/* At most this share of the rows is doubted; if more of them do not fit, the level is wrong. */
+static const double most_doubted = 0.1;
+
+static void learn_doubt(const fo_squares *made, size_t rows, fo_course *course)
+{
+    double limit = doubted;
+    for (;; limit *= 1.5) {
+        size_t above = 0;
+        for (size_t k = 0; k < rows; k++) above += made[k].noise * course[k].doubt > limit;
+        if (!((double)above > most_doubted * (double)rows)) break;
+    }
+    for (size_t k = 0; k < rows; k++) {
+        const double square = made[k].noise * course[k].doubt;
+        course[k].doubt = square > limit ? (square + freedom) / (2.0 + freedom) : 1.0;
+    }
+}
+
+/* −ln of the prior of the doubt. */
+static double doubt_penalty(const fo_course *course, size_t rows)
+{
+    double sum = 0.0;
+    for (size_t k = 0; k < rows; k++)
+        if (course[k].doubt != 1.0) sum += 1.0 / course[k].doubt - 1.0 + log(course[k].doubt);
+    return 0.5 * freedom * sum;
 }
 
 static bool is_level(int k)
@@ -297,9 +325,14 @@ static double damped_step(const selection *s, const fo_prior *prior, const doubl
     return gain;
 }
 
+static double course_penalty(const fo_course *course, size_t rows)
+{
+    return unrest_penalty(course, rows) + doubt_penalty(course, rows);
+}
+
 bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *start,
               const fo_prior *prior, const fo_stage *stage, fo_course *course, fo_row *rows,
-              double *changes, fo_posterior *out)
+              fo_squares *squares, fo_posterior *out)
 {
     const selection s = selected(prior, stage->free);
     fo_likelihood at;
@@ -314,7 +347,7 @@ bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *star
                           isfinite(at.objective);
         if (!good && !based) return false;
         penalty own = penalty_at(prior, tried, out->harmonics);
-        double objective = at.objective + own.value + unrest_penalty(course, log->rows);
+        double objective = at.objective + own.value + course_penalty(course, log->rows);
         const bool same = based && !memcmp(tried, out->parameters, sizeof tried);
         if (based && !same && !(good && objective <= out->objective + (stage->jumps ? slack : 0.0))) {
             /* Shorter. If no step is better about this course, it is the base about this course. */
@@ -334,7 +367,7 @@ bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *star
         if (prior->harmonics > 0.0 && n >= 3) {
             out->harmonics = level(prior, out);
             own = penalty_at(prior, out->parameters, out->harmonics);
-            objective = at.objective + own.value + unrest_penalty(course, log->rows);
+            objective = at.objective + own.value + course_penalty(course, log->rows);
             reduced(&s, &at, &own, g, H);
         }
         out->objective = objective;
@@ -344,13 +377,18 @@ bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *star
             out->converged = true;
             break;
         }
+        const double *p = out->parameters;
+        fo_smooth_squares(rows, log->rows,
+                          exp(2.0 * p[FO_L_acceleration]) * fabs(log->sample_time),
+                          exp(2.0 * p[FO_L_noise]), course, squares);
+        learn_doubt(squares, log->rows, course);
         if (stage->jumps)
-            learn_unrest(log, rows, changes, course, &out->parameters[FO_L_acceleration]);
+            learn_unrest(log, squares, course, &out->parameters[FO_L_acceleration]);
         if (stage->smoothing) fo_smooth_course(rows, log->rows, course);
         if (stage->smoothing && !stage->jumps) { /* far from the end, a step needs its own base */
             out->evaluations++;
             if (!fo_innovations(log, machine, course, out->parameters, start, &at, rows)) return false;
-            out->objective = at.objective + own.value + unrest_penalty(course, log->rows);
+            out->objective = at.objective + own.value + course_penalty(course, log->rows);
             reduced(&s, &at, &own, g, H);
         }
         damping = fmin(fmax(0.1 * damping, 1e-9), 1.0);

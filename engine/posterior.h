@@ -2,7 +2,7 @@
 #ifndef FLUXOBS_POSTERIOR_H
 #define FLUXOBS_POSTERIOR_H
 
-#include "innovations.h"
+#include "smoothed.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -29,7 +29,7 @@ typedef struct {
 /* Learns from `out->parameters`, `out->harmonics` and the course: Levenberg–Marquardt on the parameters
  * that are `free` (FO_L flags; null: all with a std), at most `most` evaluations, until a step is
  * expected to gain less than `gain`. With `smoothing`, each evaluation gives the next course; with
- * `jumps`, it also gives the unrest of the acceleration. `rows` and `changes`: working space, an
+ * `jumps`, it also gives the unrest of the acceleration. `rows` and `squares`: working space, an
  * element for each row. False: the likelihood cannot be evaluated. */
 typedef struct {
     const bool *free;
@@ -39,7 +39,7 @@ typedef struct {
 } fo_stage;
 bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *start,
               const fo_prior *prior, const fo_stage *stage, fo_course *course, fo_row *rows,
-              double *changes, fo_posterior *out);
+              fo_squares *squares, fo_posterior *out);
 
 /* Covariance at the likelihood. False: the curvature is not positive. */
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out);

@@ -50,6 +50,7 @@ fo_model fo_model_of(const fo_machine *machine, const double p[FO_UNKNOWNS])
     m.offset[B] = p[FO_L_offset_beta];
     m.unequal[A] = p[FO_L_gain_re];
     m.unequal[B] = p[FO_L_gain_im];
+    m.range = p[FO_L_range];
     m.harmonics = p + FO_L;
     m.is_coloured = p[FO_L_colour_pole] != 0.0 || p[FO_L_colour_gain] != 0.0;
     return m;
@@ -216,6 +217,41 @@ static void by_harmonics(const harmonics_at *h, fo_dual inverse[2][2], double c,
         }
 }
 
+/* Each phase has a sensor that reads no more than its range. What it lacks is missing along the axis of
+ * the phase. */
+static void clip(const fo_model *m, fo_prediction *p)
+{
+    static const double axis[3][2] = {
+        {1.0, 0.0}, {-0.5, 0.86602540378443864676}, {-0.5, -0.86602540378443864676}};
+    fo_dual *i[2] = {&p->measured.a, &p->measured.b};
+    const double x = i[A]->d[0], y = i[B]->d[0];
+    p->clipped = false;
+    p->sensed[A][A] = p->sensed[B][B] = 1.0;
+    p->sensed[A][B] = p->sensed[B][A] = 0.0;
+    if (!(m->range > 0.0) || x * x + y * y < m->range * m->range) return;
+    const fo_pair whole = p->measured;
+    for (int n = 0; n < 3; n++) {
+        const double *d = axis[n], phase = d[A] * x + d[B] * y;
+        const double most = phase < 0.0 ? -m->range : m->range;
+        if (fabs(phase) <= m->range) continue;
+        p->clipped = true;
+        const fo_dual lacking = fo_shift(-most, fo_axpy(fo_scale(d[A], whole.a), d[B], whole.b));
+        for (int a = 0; a < 2; a++) {
+            *i[a] = fo_axpy(*i[a], -2.0 / 3.0 * d[a], lacking);
+            p->sensed[a][A] -= 2.0 / 3.0 * d[a] * d[A];
+            p->sensed[a][B] -= 2.0 / 3.0 * d[a] * d[B];
+        }
+        for (int a = 0; a < 2; a++)
+            p->measured_by[a][FO_L_range - FO_C] += 2.0 / 3.0 * d[a] * (phase < 0.0 ? -1.0 : 1.0);
+    }
+    if (!p->clipped) return;
+    for (int k = 0; k < FO_COLUMNS; k++) {
+        if (k == FO_L_range - FO_C) continue;
+        const double u = p->measured_by[A][k], v = p->measured_by[B][k];
+        for (int a = 0; a < 2; a++) p->measured_by[a][k] = p->sensed[a][A] * u + p->sensed[a][B] * v;
+    }
+}
+
 /* What the sensors add: i_t + o + g conj(i_t). */
 static void measure_current(const fo_model *m, fo_prediction *p)
 {
@@ -233,6 +269,7 @@ static void measure_current(const fo_model *m, fo_prediction *p)
     p->measured_by[B][FO_L_gain_re - FO_C] = -t.b.d[0];
     p->measured_by[A][FO_L_gain_im - FO_C] = t.b.d[0];
     p->measured_by[B][FO_L_gain_im - FO_C] = t.a.d[0];
+    clip(m, p);
 }
 
 /* e^{−jθ} λ = ψ + Σ a e^{jhθ} + m(i) with i in rotor coordinates; Λ = ∂i/∂λ. If the rotor turns by δ,

@@ -29,7 +29,7 @@ typedef struct {
     fo_machine machine;
     fo_dual R, scale[2], psi, mobility, pole, colour;
     fo_dual noise, acceleration, voltage, drift; /* variances */
-    double loss, inverse_knee, lag, iron, heat, offset[2], unequal[2];
+    double loss, inverse_knee, lag, iron, heat, offset[2], unequal[2], range;
     double R_R, over_L_M;      /* of a cage [Ω], [1/H] */
     double saturation[2];
     const double *harmonics;   /* two coefficients of each order */
@@ -44,6 +44,7 @@ typedef struct {
     double angle;   /* without jumps of a turn [rad] */
     double psi;     /* flux of magnets or rotor, less the parameter [Wb] */
     double unrest;  /* factor on the variance by which the acceleration changes until the next row */
+    double doubt;   /* factor on the variance of the noise of the current */
 } fo_course;
 
 /* The current at a row of the course, and its derivatives; stator coordinates. */
@@ -52,6 +53,8 @@ typedef struct {
     fo_pair current;  /* that makes flux */
     fo_pair terminal; /* with that of the iron loss */
     fo_pair measured; /* by the sensors */
+    double sensed[2][2]; /* derivative of the measured current by the terminal's, if it is clipped */
+    bool clipped;
     fo_dual by_flux[2][2];
     fo_dual by_angle[2], by_psi[2];
     double by[2][FO_COLUMNS]; /* by the parameters of the means */

@@ -134,17 +134,37 @@ void fo_smooth_course(const fo_row *rows, size_t count, fo_course *out)
     }
 }
 
-void fo_smooth_changes(const fo_row *rows, size_t count, double variance, const fo_course *course,
-                       double *out)
+/* The noise is R (S⁻¹ e + Kᵀ λ), with the variance R − R (S⁻¹ + Kᵀ Λ K) R. */
+static double square_of_noise(const fo_row *row, const adjoint *a, double variance)
+{
+    double v[2], sum = 2.0;
+    weighted_error(row, row->error, v);
+    for (size_t n = 0; n < 2; n++) {
+        double u = v[n], information = row->inverse[2 * n];
+        for (int r = 0; r < FO_STATES; r++) {
+            u += row->K[r][n] * a->lambda[r][0];
+            for (int c = 0; c < FO_STATES; c++)
+                information += row->K[r][n] * a->Lambda[r][c] * row->K[c][n];
+        }
+        sum += variance * (u * u - information);
+    }
+    return sum;
+}
+
+void fo_smooth_squares(const fo_row *rows, size_t count, double acceleration, double noise,
+                       const fo_course *course, fo_squares *out)
 {
     adjoint a;
     memset(&a, 0, sizeof a);
     for (size_t n = count; n-- > 0;) {
         /* Before its own transition, λ is that of the next row's state: the change has q λ. */
-        const double q = variance * course[n].unrest, l = a.lambda[FO_ACCELERATION][0];
-        out[n] = 1.0 - q * a.Lambda[FO_ACCELERATION][FO_ACCELERATION] + q * l * l;
+        const double q = acceleration * course[n].unrest, l = a.lambda[FO_ACCELERATION][0];
+        out[n].change = 1.0 - q * a.Lambda[FO_ACCELERATION][FO_ACCELERATION] + q * l * l;
+        out[n].noise = 2.0;
         if (n + 1 < count) pass_transition(rows + n, &a, 1);
-        if (rows[n].measured) pass_measurement(rows + n, &a, 1);
+        if (!rows[n].measured) continue;
+        out[n].noise = square_of_noise(rows + n, &a, noise * course[n].doubt);
+        pass_measurement(rows + n, &a, 1);
     }
 }
 

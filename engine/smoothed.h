@@ -16,10 +16,15 @@ typedef struct {
 /* The course of the rows that fo_innovations kept: where to linearise next. */
 void fo_smooth_course(const fo_row *rows, size_t count, fo_course *out);
 
-/* For each row: expected square of the change of the acceleration until the next row, over its
- * variance in the filter, `variance` times the unrest of the course. */
-void fo_smooth_changes(const fo_row *rows, size_t count, double variance, const fo_course *course,
-                       double *out);
+/* Expected squares at a row, over their variances in the filter. */
+typedef struct {
+    double change; /* of the acceleration until the next row */
+    double noise;  /* of both components of the current's noise; 2 if its level is right */
+} fo_squares;
+
+/* For each row. `acceleration` and `noise`: variances, which the course's unrest and doubt multiply. */
+void fo_smooth_squares(const fo_row *rows, size_t count, double acceleration, double noise,
+                       const fo_course *course, fo_squares *out);
 
 /* Angle and speed at the time of the row, with standard deviations. `parameters` and their
  * `covariance`, FO_UNKNOWNS squared: what they add. */

@@ -2,9 +2,8 @@
 
     python tests/engine/drive_table.py [--drives 3] [--seed 1] [--truth] [--write]
 
-The drives of benchmarks/whole_log.py with constant inductances, 12,000 rows each, from the estimate
-of today. With --truth, the engine starts at the true course and machine: what it finds then is
-what its objective knows.
+The drives of benchmarks/whole_log.py, 12,000 rows each, from the estimate of today. With --truth,
+the engine starts at the true course and machine: what it finds then is what its objective knows.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
 from numbers_data import Numbers  # noqa: E402
 
-from engine.estimates import Estimate, NoEstimate, degrees, estimate, file_of  # noqa: E402
-from engine.starts import inductances, rms, started  # noqa: E402
-from fluxobs.benchmark.draws import COURSES, every_error  # noqa: E402
+from engine.estimates import Estimate, NoEstimate, degrees, estimate  # noqa: E402
+from engine.machines import machine_file, measured  # noqa: E402
+from engine.starts import rms, started  # noqa: E402
+from fluxobs.benchmark.draws import COURSES, MACHINES, every_error  # noqa: E402
 from fluxobs.benchmark.drives import Drive, simulated  # noqa: E402
 from fluxobs.machines import example  # noqa: E402
 
-MACHINES = ("servo-400w", "drone-900kv", "pmsm-2kw2", "ipm-2kw2")
 ROWS = slice(500, 12500)
 HEADER = (
     *("", "drives", "rms below 1°", "below 3°", "median (e/σ)²", "2 σ of position"),
@@ -49,23 +48,17 @@ class Score:
     rms: float
     square: float
     within: float
-    errors: tuple[float, float, float]
+    errors: tuple[float, ...]
     evaluations: int
 
 
 def from_truth(drive: Drive) -> Estimate:
-    """Estimate a drive from its true angle, resistance, inductances and magnet flux."""
-    machine, v = example(drive.machine), drive.values
-    u = drive.voltage[ROWS]
-    names = ("L_d", "L_q")
-    L = (x * v.get(n, v.get("L_s", 1.0)) for x, n in zip(inductances(machine), names, strict=True))
-    file = file_of(
-        *(machine.R_s * v.get("R", 1.0), *L, machine.psi_f * v.get("psi", 1.0)),
-        *(machine.rated_current,),
-        lag=(0.0, 0.1),
-        voltage=float(np.sqrt(np.nanmean(np.abs(u) ** 2))),
-    )
-    return estimate(u, drive.current[ROWS], drive.sample_time, file, np.unwrap(drive.theta[ROWS]))
+    """Estimate a drive from its true angle, resistance, inductances and fluxes."""
+    u, h = drive.voltage[ROWS], drive.sample_time
+    volts = float(np.sqrt(np.nanmean(np.abs(u) ** 2)))
+    file = machine_file(example(drive.machine), h, voltage=volts, true=drive.values)
+    current = measured(u, drive.current[ROWS], h)
+    return estimate(u, current, h, file, np.unwrap(drive.theta[ROWS]))
 
 
 def score(drive: Drive, truth: bool) -> Score:
@@ -81,17 +74,14 @@ def score(drive: Drive, truth: bool) -> Score:
     except NoEstimate:
         return Score(drive.machine, np.inf, np.inf, 0.0, (np.inf,) * 3, 0)
     error, std = degrees(e.rows["angle"], drive.theta[ROWS]), np.degrees(e.rows["angle_std"])
-    true = {
-        "resistance": machine.R_s * v.get("R", 1.0),
-        "L_q": inductances(machine)[1] * v.get("L_q", v.get("L_s", 1.0)),
-        "psi_f": machine.psi_f * v.get("psi", 1.0),
-    }
+    true = machine_file(machine, drive.sample_time, true=v)
+    pairs = (("resistance", true.R), ("L_q", true.L_q), ("psi_f", true.psi_f))
     return Score(
         drive.machine,
         rms(error),
         float(np.mean((error / std) ** 2)),
         float(np.mean(np.abs(error) < 2 * std)),
-        tuple(float(100 * abs(np.exp(e.value(n)) / x - 1)) for n, x in true.items()),
+        tuple(float(100 * abs(np.exp(e.value(n)) / x - 1)) if x else 0.0 for n, x in pairs),
         e.evaluations,
     )
 

@@ -47,7 +47,9 @@ class Log(ctypes.Structure):
 
 
 #: Where the model is linearised at a row; see engine/innovations.h.
-COURSE = np.dtype([("flux", float, 2), ("angle", float), ("psi", float), ("unrest", float)])
+COURSE = np.dtype(
+    [("flux", float, 2), *((name, float) for name in ("angle", "psi", "unrest", "doubt"))]
+)
 
 
 class Machine(ctypes.Structure):

@@ -7,7 +7,11 @@ import ctypes
 import numpy as np
 
 from engine.estimates import TOLERANCES, File, with_errors
+from engine.likelihood import Complex
 from fluxobs import InductionMachine
+from fluxobs.logs.quality.detect import Detector
+from fluxobs.logs.quality.marks import NO_MEASUREMENT
+from fluxobs.logs.time.aligned import Aligned
 from fluxobs.machines.rotating import RotatingMachine
 from fluxobs.smoothing.record import MAP_FIELDS
 
@@ -90,3 +94,12 @@ def machine_file(
         file.cage_std = 0.3
     file.lag, file.lag_std = lag
     return with_errors(file, voltage)
+
+
+def measured(voltage: Complex, current: Complex, sample_time: float) -> Complex:
+    """Return the current, NaN where the marks of the log say that it is no measurement."""
+    i, u = (np.stack([x.real, x.imag], axis=1) for x in (current, voltage))
+    sizes = [float(np.nanpercentile(np.abs(x), 95)) for x in (current, voltage)]
+    rows = Aligned(sample_time * np.arange(len(i)), i, u, None)
+    marks = Detector(*sizes, 0.0).marks(rows)
+    return np.where(marks & NO_MEASUREMENT > 0, np.nan, current)

@@ -7,25 +7,17 @@ from contextlib import suppress
 import numpy as np
 
 import fluxobs
-from engine.estimates import Estimate, NoEstimate, estimate, file_of
+from engine.estimates import Estimate, NoEstimate, estimate
 from engine.likelihood import Array, Complex
-from fluxobs import InteriorPMSM, SurfacePMSM
-
-Machine = SurfacePMSM | InteriorPMSM
-
-
-def inductances(machine: Machine) -> tuple[float, float]:
-    """Return L_d and L_q [H]."""
-    if isinstance(machine, SurfacePMSM):
-        return machine.L_s, machine.L_s
-    return machine.L_d, machine.L_q
+from engine.machines import machine_file, measured
+from fluxobs.machines.rotating import RotatingMachine
 
 
 def started(
     voltage: Complex,
     current: Complex,
     sample_time: float,
-    machine: Machine,
+    machine: RotatingMachine,
     rated_current: float,
     lag: tuple[float, float],
     ordinary: bool = False,
@@ -46,13 +38,11 @@ def started(
     NoEstimate
         The log contradicts both starts.
     """
-    assert machine.psi_f is not None
     volts = float(np.sqrt(np.nanmean(np.abs(voltage) ** 2)))
-    file = file_of(
-        *(machine.R_s, *inductances(machine), machine.psi_f, rated_current),
-        lag=lag,
-        voltage=volts if ordinary else None,
+    file = machine_file(
+        machine, sample_time, lag, rated_current, voltage=volts if ordinary else None
     )
+    own = measured(voltage, current, sample_time)
     done = []
     for causal in (False, True):
         first = fluxobs.estimate(
@@ -67,12 +57,13 @@ def started(
         angle = np.interp(rows, rows[known], np.unwrap(angle[known]))
         learnt = {
             "resistance": np.log(max(first["resistance"][-1], 0.3 * machine.R_s)),
-            "psi_f": np.log(max(first["psi_f"][-1], 0.3 * machine.psi_f)),
             "loss": np.log(max(first["inverter_voltage"][-1], 1e-3 * volts)),
         }
+        if file.psi_f > 0:
+            learnt["psi_f"] = np.log(max(first["psi_f"][-1], 0.3 * file.psi_f))
         for begin in ({},) if causal else (learnt, {}):
             with suppress(NoEstimate):
-                done.append(estimate(voltage, current, sample_time, file, angle, begin))
+                done.append(estimate(voltage, own, sample_time, file, angle, begin))
     if not done:
         raise NoEstimate
     return min(done, key=lambda e: e.objective)

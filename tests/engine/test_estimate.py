@@ -31,8 +31,9 @@ from engine.scores import START, parameters_of
 H = 1e-4
 #: Indices of the angle and of ψ among the states.
 ANGLE, PSI = 2, 4
-#: Of the likelihood: levels, loss and offsets, the rest with its bases, the unrest.
-MOST_EVALUATIONS = 30 + 2 * 60 + 40
+#: Of the likelihood: levels, loss and offsets, and the rest with its bases, for each hypothesis on
+#: the sensors; the unrest.
+MOST_EVALUATIONS = 2 * (30 + 2 * 60) + 40
 #: Drives of a kind. The mean of (error/σ)² over them scatters by about √(2/12) in each drive.
 DRIVES = 4
 KINDS = {"surface": SURFACE, "interior": INTERIOR}
@@ -172,6 +173,41 @@ def test_a_load_step_does_not_spoil_the_inductance():
         assert abs(e.value("L_q") - np.log(6e-4)) < 4 * e.std("L_q")
         assert e.std("L_q") < 0.02
         assert np.abs(degrees(e.rows["angle"], r.angle[:, 0])).max() < 1.5
+
+
+@cache
+def clipped() -> tuple[Record, Complex, float]:
+    """Return a drive, its currents by three sensors with a limit, and this limit [A]."""
+    record = simulated(replace(SURFACE, duration=0.42, acceleration=300.0), 1, seed=2)
+    limit = 7.0
+    axes = np.exp(2j * np.pi / 3 * np.arange(3))
+    phases = (record.current[:, :1] * np.conj(axes)).real
+    return record, 2 / 3 * np.clip(phases, -limit, limit) @ axes, limit
+
+
+def test_sensors_at_their_limit():
+    """A load step beyond the range of the current sensors: the range is learnt."""
+    record, current, limit = clipped()
+    assert np.mean(np.abs(current - record.current[:, 0]) > 0.1) > 0.01
+    file = file_of(0.4, 5e-4, 5e-4, 0.0115, 12.0)
+    e = estimate(record.voltage[:, 0], current, H, file, course(record, 0))
+    error = degrees(e.rows["angle"], record.angle[:, 0])
+    assert np.sqrt(np.mean(error**2)) < 0.5
+    assert abs(e.value("range") - limit) < 3.5 * e.std("range") + 0.02
+
+
+def test_outliers_count_for_nothing():
+    """Rows that cannot be right: their noise has Student's distribution."""
+    record = simulated(replace(SURFACE, duration=0.3), 1, seed=3)
+    current, rng = record.current[:, 0].copy(), np.random.default_rng(0)
+    at = rng.choice(len(current), 60, replace=False)
+    current[at] += rng.normal(0, 3.0, (60, 2)) @ [1, 1j]
+    file = file_of(0.4, 5e-4, 5e-4, 0.0115, 12.0)
+    e = estimate(record.voltage[:, 0], current, H, file, course(record, 0))
+    error = degrees(e.rows["angle"], record.angle[:, 0])
+    assert np.sqrt(np.mean(error**2)) < 0.3
+    assert abs(e.value("L_q") - np.log(6e-4)) < 3.5 * e.std("L_q")
+    assert abs(e.value("noise") - np.log(0.03)) < 0.1
 
 
 def attempt(u: Complex, i: Complex) -> Estimate | None:

@@ -60,6 +60,7 @@ def log_with_everything(conditions: Conditions):
     p = all_parameters(parameters_of(conditions) + 0.03)
     given = {"voltage": np.log(1e-3), "drift": np.log(0.3), "loss": np.log(0.1)}
     given |= {"mobility": 300.0, "iron_loss": 0.01, "offset_alpha": 0.02, "gain_re": 0.01}
+    given |= {"range": 0.0}  # no limit
     for name, value in given.items():
         p[INDEX[name]] = value
     p[N:] = 1e-5 * np.random.default_rng(0).standard_normal(UNKNOWNS - N)
@@ -107,6 +108,8 @@ def test_score_about_the_smoothed_course(conditions):
             likelihood(u, i, 1e-4, p + s * step, course, start).objective for s in (1, -1)
         )
         numeric = (above - below) / (2 * size)
+        if k in (INDEX["lag"], INDEX["delay"]):  # late and early voltages are those of other rows
+            numeric = (above - got.objective) / size
         assert stds[k] * got.score[k] == pytest.approx(stds[k] * numeric, abs=0.33), k
 
 
