@@ -180,8 +180,8 @@ static bool measure(const fo_model *m, const double measured[2], const fo_course
 
 /* Derivatives of the innovation by all parameters, and the update of those of the state by the
  * parameters of the means. */
-static void error_derivatives(const fo_prediction *p, const measurement *H, const update *z, int states, sensitivity x,
-                              double by[2][FO_UNKNOWNS])
+static void error_derivatives(const fo_prediction *p, const measurement *H, const update *z,
+                              int states, sensitivity x, double by[2][FO_UNKNOWNS])
 {
     for (int a = 0; a < 2; a++) {
         for (int k = 0; k < FO_C; k++) by[a][k] = z->e[a].d[k + 1];
@@ -192,8 +192,9 @@ static void error_derivatives(const fo_prediction *p, const measurement *H, cons
             if (states > FO_WHITE) e -= x[FO_NOISE + a][k];
             by[a][FO_C + k] = e;
         }
-        for (int k = 0; k < 2 * FO_ORDERS; k++) by[a][FO_L + k] -= z->angle * (p->sensed[a][A] * p->angle_by[A][k] +
-                                            p->sensed[a][B] * p->angle_by[B][k]);
+        for (int k = 0; k < 2 * FO_ORDERS; k++)
+            by[a][FO_L + k] -= z->angle * (p->sensed[a][A] * p->angle_by[A][k] +
+                                           p->sensed[a][B] * p->angle_by[B][k]);
     }
     for (int r = 0; r < states; r++)
         for (int k = 0; k < COLUMNS; k++)
@@ -349,7 +350,8 @@ static electrical electrical_of(const fo_model *m, const interval *t)
 {
     electrical e;
     const fo_pair *from = &t->at->terminal, *to = &t->next->terminal;
-    const fo_signs about = fo_signs_of(m, 0.5 * (from->a.d[0] + to->a.d[0]), 0.5 * (from->b.d[0] + to->b.d[0]));
+    const fo_signs about = fo_signs_of(m, 0.5 * (from->a.d[0] + to->a.d[0]),
+                                       0.5 * (from->b.d[0] + to->b.d[0]));
     e.R = fo_scale(1.0 + m->heat * t->place, m->R);
     for (int a = 0; a < 2; a++)
         for (int b = 0; b < 2; b++) {
@@ -415,7 +417,8 @@ static cage cage_of(const fo_model *m, const interval *t)
     const double turn = t->to->angle - t->from->angle, middle = 0.5 * (angles[0] + angles[1]);
     const double c = cos(middle), s = sin(middle), share = 1.0 / (12.0 * m->scale[0].d[0]);
     const double *x = t->from->flux, *y = t->to->flux;
-    const double step[2] = {c * (y[A] - x[A]) + s * (y[B] - x[B]), c * (y[B] - x[B]) - s * (y[A] - x[A])};
+    const double step[2] = {c * (y[A] - x[A]) + s * (y[B] - x[B]),
+                            c * (y[B] - x[B]) - s * (y[A] - x[A])};
     const double mean[2] = {0.5 * (c * (x[A] + y[A]) + s * (x[B] + y[B])),
                             0.5 * (c * (x[B] + y[B]) - s * (x[A] + y[A]))};
     g.i_d.d[0] -= share * turn * (2.0 * step[1] - turn * mean[0]);

@@ -218,7 +218,8 @@ static const double calm_rows = 1.0;
 
 /* EM: the unrest of each stretch is its mean square change, with an inverse gamma prior about one. The
  * mean of their logarithms stays zero; the level of the acceleration takes it. */
-static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course *course, double *level)
+static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course *course,
+                         double *level)
 {
     double sum = 0.0;
     for (size_t first = 0; first < record->rows; first += CALM) {
@@ -353,7 +354,8 @@ bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *star
             /* Shorter. If no step is better about this course, it is the base about this course. */
             damping *= 10.0;
             memcpy(tried, out->parameters, sizeof tried);
-            if (damping < LARGEST_DAMPING) expected = damped_step(&s, prior, g, H, damping, swings, tried);
+            if (damping < LARGEST_DAMPING)
+                expected = damped_step(&s, prior, g, H, damping, swings, tried);
             continue;
         }
         if (!good) return false;
