@@ -99,8 +99,8 @@ static void begin(const fo_log *record, const fo_file *file, const fo_prior *pri
     out->parameters[FO_L_noise] = log(0.02 * file->rated_current);
     out->parameters[FO_L_voltage] = log(0.01 * u * sqrt(fabs(record->sample_time)));
     out->parameters[FO_L_drift] = log(0.02 * u);
-    /* Below the largest current: from there it goes up if no sensor is at its limit. */
-    out->parameters[FO_L_range] = 0.93 * largest_current(record);
+    /* Below the largest current: from there it rises if no sensor saturates. */
+    if (prior->std[FO_L_range] > 0.0) out->parameters[FO_L_range] = 0.93 * largest_current(record);
     out->harmonics = prior->harmonics;
     for (int k = 0; parameters && k < FO_UNKNOWNS; k++)
         if (isfinite(parameters[k])) out->parameters[k] = parameters[k];
@@ -199,15 +199,13 @@ static bool end_learning(const work *w, const fo_prior *prior, fo_posterior *out
 static bool learn(work *w, const fo_file *file, const fo_prior *prior, const double *angle,
                   const double *parameters, fo_course *other, fo_posterior *out)
 {
-    const double none = 0.0;
     fo_prior priors[2] = {*prior, *prior};
-    put(&priors[0], FO_L_range, none, 0.0);
+    put(&priors[0], FO_L_range, 0.0, 0.0);
     fo_posterior posteriors[2];
     fo_course *courses[2] = {w->course, other};
     int best = -1;
     for (int n = 0; n < 2; n++) {
         begin(w->record, file, &priors[n], parameters, &posteriors[n]);
-        if (n == 0) posteriors[n].parameters[FO_L_range] = none;
         w->course = courses[n];
         set_course(w->record, &w->machine, angle, posteriors[n].parameters, w->course);
         const bool learnt = begin_learning(w, &priors[n], &posteriors[n]);

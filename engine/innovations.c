@@ -99,8 +99,8 @@ static measurement measurement_of(const fo_prediction *p)
     return H;
 }
 
-/* Noise of a sensor at its limit does not pass it either, but for this share, which the converter
- * makes. */
+/* A saturated sensor hides its noise too, except for this share of the variance, which the converter
+ * adds. Assumed. */
 static const double behind = 0.1;
 
 static double noise_of(const fo_prediction *p, int a, int b)
@@ -737,7 +737,7 @@ bool fo_innovations(const fo_log *log, const fo_machine *machine, const fo_cours
         if (k + 1 == log->rows) break;
         const double turning = (course[k + 1].angle - course[k].angle) / h;
         fo_predict(&m, course + k + 1, turning, at.rotor, &next);
-        /* What acts late is the voltage of the row before; what acts early, that of the next row. */
+        /* A late voltage mixes with that of the row before, an early one with the next. */
         const double *v = u + 2;
         const double *after = isfinite(v[0]) && isfinite(v[1]) ? v : held;
         const double late[2] = {m.lag < 0.0 ? held[0] - after[0] : before[0] - held[0],

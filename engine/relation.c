@@ -8,6 +8,10 @@ enum { A = FO_ALPHA, B = FO_BETA, D = 0, Q = 1 };
 enum { STEPS = 20 };
 static const double close_enough = 1e-12; /* of the rated current */
 
+/* Axes of the phases a, b, c; stator coordinates. */
+static const double phase_axes[3][2] = {
+    {1.0, 0.0}, {-0.5, 0.86602540378443864676}, {-0.5, -0.86602540378443864676}};
+
 #define FO_LIST(order) order,
 static const int orders[FO_ORDERS] = {FO_HARMONICS(FO_LIST)};
 #undef FO_LIST
@@ -217,12 +221,9 @@ static void by_harmonics(const harmonics_at *h, fo_dual inverse[2][2], double c,
         }
 }
 
-/* Each phase has a sensor that reads no more than its range. What it lacks is missing along the axis of
- * the phase. */
+/* The sensor of a phase saturates at its range: the excess is missing along the axis of the phase. */
 static void clip(const fo_model *m, fo_prediction *p)
 {
-    static const double axis[3][2] = {
-        {1.0, 0.0}, {-0.5, 0.86602540378443864676}, {-0.5, -0.86602540378443864676}};
     fo_dual *i[2] = {&p->measured.a, &p->measured.b};
     const double x = i[A]->d[0], y = i[B]->d[0];
     p->clipped = false;
@@ -231,7 +232,7 @@ static void clip(const fo_model *m, fo_prediction *p)
     if (!(m->range > 0.0) || x * x + y * y < m->range * m->range) return;
     const fo_pair whole = p->measured;
     for (int n = 0; n < 3; n++) {
-        const double *d = axis[n], phase = d[A] * x + d[B] * y;
+        const double *d = phase_axes[n], phase = d[A] * x + d[B] * y;
         const double most = phase < 0.0 ? -m->range : m->range;
         if (fabs(phase) <= m->range) continue;
         p->clipped = true;
@@ -338,12 +339,10 @@ void fo_predict(const fo_model *m, const fo_course *at, double speed, const doub
 
 fo_signs fo_signs_of(const fo_model *m, double i_alpha, double i_beta)
 {
-    static const double phase[3][2] = {
-        {1.0, 0.0}, {-0.5, 0.86602540378443864676}, {-0.5, -0.86602540378443864676}};
     fo_signs s;
     memset(&s, 0, sizeof s);
     for (int n = 0; n < 3; n++) {
-        const double *d = phase[n], x = m->inverse_knee * (d[A] * i_alpha + d[B] * i_beta);
+        const double *d = phase_axes[n], x = m->inverse_knee * (d[A] * i_alpha + d[B] * i_beta);
         const double t = tanh(x), slope = 1.0 - t * t;
         for (int a = 0; a < 2; a++) {
             s.value[a] += 2.0 / 3.0 * d[a] * t;

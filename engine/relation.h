@@ -16,7 +16,7 @@ enum { FO_ALPHA, FO_BETA }; /* components of a vector */
 /* Derivatives by the parameters that change the means only: the gain is held. */
 enum { FO_COLUMNS = FO_UNKNOWNS - FO_C };
 
-/* What a machine is, besides its parameters. */
+/* Kind of a machine, and its constants that are not estimated. */
 typedef struct {
     const fo_map *map; /* flux over the current, scaled by L_d and L_q [1]; null: L_d and L_q [H] */
     bool cage;         /* d is along the rotor flux, which follows i_d */

@@ -107,7 +107,7 @@ static void pass_measurement(const fo_row *row, adjoint *a, size_t width)
     }
 }
 
-/* Most by which a row of the course turns in a pass [rad]: where the relation is still linear. */
+/* Largest turn of a row of the course in a pass [rad]: the relation is still linear there. Assumed. */
 static const double longest_turn = 0.3;
 
 void fo_smooth_course(const fo_row *rows, size_t count, fo_course *out)
@@ -134,7 +134,7 @@ void fo_smooth_course(const fo_row *rows, size_t count, fo_course *out)
     }
 }
 
-/* The noise is R (S⁻¹ e + Kᵀ λ), with the variance R − R (S⁻¹ + Kᵀ Λ K) R. */
+/* Smoothed noise of a row: R (S⁻¹ e + Kᵀ λ), with the variance R − R (S⁻¹ + Kᵀ Λ K) R. */
 static double square_of_noise(const fo_row *row, const adjoint *a, double variance)
 {
     double v[2], sum = 2.0;

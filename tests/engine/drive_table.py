@@ -3,7 +3,7 @@
     python tests/engine/drive_table.py [--drives 3] [--seed 1] [--truth] [--write]
 
 The drives of benchmarks/whole_log.py, 12,000 rows each, from the estimate of today. With --truth,
-the engine starts at the true course and machine: what it finds then is what its objective knows.
+the engine starts at the true course and machine: the result shows its objective without a search.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Score:
 
 
 def from_truth(drive: Drive) -> Estimate:
-    """Estimate a drive from its true angle, resistance, inductances and fluxes."""
+    """Estimate a drive from its true angle and machine."""
     u, h = drive.voltage[ROWS], drive.sample_time
     volts = float(np.sqrt(np.nanmean(np.abs(u) ** 2)))
     file = machine_file(example(drive.machine), h, voltage=volts, true=drive.values)

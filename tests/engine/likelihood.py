@@ -53,7 +53,7 @@ COURSE = np.dtype(
 
 
 class Machine(ctypes.Structure):
-    """What a machine is, besides its parameters; see engine/relation.h."""
+    """Kind of a machine, and its constants that are not estimated; see engine/relation.h."""
 
     _fields_ = (
         ("map", ctypes.c_void_p),

@@ -152,15 +152,20 @@ def _through(
         lost = c.loss * _signs(i * turn, c.knee) if c.loss else 0.0
         return (voltage - lost) * np.conj(turn) - c.R * i - 1j * speed * x
 
-    g = c.sample_time / SUBSTEPS
+    return runge_kutta(slope, flux, c.sample_time)
+
+
+def runge_kutta(slope: Callable[[Complex, float], Complex], x: Complex, h: float) -> Complex:
+    """Return x after the time h (Runge–Kutta, fourth order, SUBSTEPS steps)."""
+    g = h / SUBSTEPS
     for n in range(SUBSTEPS):
         t = n * g
-        k1 = slope(flux, t)
-        k2 = slope(flux + 0.5 * g * k1, t + 0.5 * g)
-        k3 = slope(flux + 0.5 * g * k2, t + 0.5 * g)
-        k4 = slope(flux + g * k3, t + g)
-        flux = flux + g / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return flux
+        k1 = slope(x, t)
+        k2 = slope(x + 0.5 * g * k1, t + 0.5 * g)
+        k3 = slope(x + 0.5 * g * k2, t + 0.5 * g)
+        k4 = slope(x + g * k3, t + g)
+        x = x + g / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
 
 
 def _signs(current: Complex, knee: float) -> Complex:

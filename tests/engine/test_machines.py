@@ -130,8 +130,8 @@ def test_a_cage_machine():
         assert e.std(name) < 0.1, name
 
 
-#: Drives whose scores are taken; their mean is within 3.5 standard errors of zero for each of nine
-#: parameters with a probability of 0.97 at so few drives.
+#: Drives whose scores are taken. Their mean is within 4.5 standard errors of zero for each of nine
+#: parameters with a probability of 0.94 (Student's distribution, five degrees of freedom).
 DRIVES, MOST = 6, 4.5
 
 

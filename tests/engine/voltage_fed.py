@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from engine.likelihood import Array, Complex
+from engine.loop import runge_kutta
 
 H = 1e-4
-SUBSTEPS = 2
 #: Share of the current's error that the controller removes in a sample.
 BANDWIDTH = 0.15
 
@@ -65,7 +65,7 @@ class Mapped:
 
 @dataclass(frozen=True)
 class Cage:
-    """A cage machine; d is along the rotor flux, the second state."""
+    """A cage machine: states are stator and rotor flux; d is along the rotor flux."""
 
     R: float
     L_sigma: float
@@ -101,15 +101,7 @@ def through(
         turn = machine.turns(y) or np.exp(1j * (theta + speed * t))
         return machine.slope(y, machine.current(y, turn, guess), u, speed)
 
-    g = H / SUBSTEPS
-    for n in range(SUBSTEPS):
-        t = n * g
-        k1 = slope(x, t)
-        k2 = slope(x + 0.5 * g * k1, t + 0.5 * g)
-        k3 = slope(x + 0.5 * g * k2, t + 0.5 * g)
-        k4 = slope(x + g * k3, t + g)
-        x = x + g / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return x
+    return runge_kutta(slope, x, H)
 
 
 def run(machine: Mapped | Cage, speeds: Array, wanted: Complex, noise: float, seed: int) -> Run:

@@ -520,7 +520,7 @@ def _sample(drive: Drive, steps: int, delay: bool, loop: _Loop, row: _Row) -> tu
     motor, state = plant.motor, loop.plant
     winding_current = plant.current(state)
     current = winding_current + plant.iron_current(state)
-    # A sensor that samples later than the row sees what the next voltage does.
+    # A sensor that samples after the row already follows the next voltage.
     is_later = drive.sensors.later(row.late) > 0
     at_sampling = jnp.where(is_later, loop.pending, loop.acted) if delay else loop.acted
     rate = plant.rate(state, at_sampling - loop.lost, row.load)
