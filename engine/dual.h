@@ -1,8 +1,8 @@
-/* A number with its derivatives by the parameters: forward differentiation.
+/* A number with its derivatives by the parameters of the model: forward differentiation.
  *
- * The score of a likelihood must be the exact derivative of the likelihood that the code computes,
- * covariances included. With these numbers the recursion is written once. d[0] is the value,
- * d[1 + k] the derivative by parameter k of those on which the covariances depend. */
+ * The score of a likelihood must be the exact derivative of the likelihood that the code computes. With
+ * these numbers the linearised model is written once. d[0] is the value, d[1 + k] the derivative by
+ * parameter k of FO_OF_MODEL. */
 #ifndef FLUXOBS_DUAL_H
 #define FLUXOBS_DUAL_H
 
@@ -10,7 +10,7 @@
 
 #include "parameters.h"
 
-enum { FO_WIDTH = (1 + FO_C + 3) / 4 * 4 }; /* a multiple of what a vector register holds */
+enum { FO_WIDTH = (1 + FO_T + 1) / 2 * 2 }; /* a multiple of what a vector register holds */
 
 typedef struct {
     double d[FO_WIDTH];
@@ -34,7 +34,7 @@ static inline fo_dual fo_constant(double value)
 static inline fo_dual fo_unknown(double value, int index)
 {
     fo_dual r = {{value}};
-    r.d[index + 1] = 1.0;
+    r.d[index - FO_FIRST_OF_MODEL + 1] = 1.0;
     return r;
 }
 

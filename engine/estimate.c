@@ -129,6 +129,7 @@ static fo_machine machine_of(const fo_file *file)
     const fo_machine machine = {
         .map = file->map,
         .cage = file->R_R > 0.0,
+        .saturates = file->map || file->saturation_std > 0.0,
         .current = file->rated_current,
         .psi_rate = psi_walk * file->flux,
     };
@@ -137,10 +138,10 @@ static fo_machine machine_of(const fo_file *file)
 
 /* The course through these angles: the flux is that of the measured current. A cage's rotor flux
  * follows i_d, from its steady value at the first row. */
-static void set_course(const fo_log *record, const fo_machine *machine, const double *angle,
-                       const double *p, fo_course *course)
+static void set_course(const fo_problem *problem, const double *angle, const double *p)
 {
-    const fo_model m = fo_model_of(machine, p);
+    const fo_log *record = problem->log;
+    const fo_model m = fo_model_of(problem->machine, p);
     const double decay = m.R_R * m.over_L_M * fabs(record->sample_time);
     double i[2] = {0.0, 0.0}, psi = 0.0;
     for (size_t k = 0; k < record->rows; k++) {
@@ -151,30 +152,14 @@ static void set_course(const fo_log *record, const fo_machine *machine, const do
             psi += k ? decay * (rotor[0] / m.over_L_M - psi) : rotor[0] / m.over_L_M;
         double dq[2];
         fo_flux_of(&m, psi + m.psi.d[0], rotor, dq);
-        course[k] = (fo_course){
+        problem->course[k] = (fo_course){
             {c * dq[0] - s * dq[1], s * dq[0] + c * dq[1]}, angle[k], psi, 1.0, 1.0};
     }
 }
 
-/* What learning works on. */
-typedef struct {
-    const fo_log *record;
-    fo_machine machine;
-    fo_start start;
-    fo_course *course;
-    fo_row *rows;
-    fo_squares *squares;
-} work;
-
-static bool stage_of(const work *w, const fo_prior *prior, const fo_stage *stage, fo_posterior *out)
-{
-    return fo_learn(w->record, &w->machine, &w->start, prior, stage, w->course, w->rows, w->squares,
-                    out);
-}
-
 /* First levels, the loss and the sensors, about the given course; then all but the mobility, which moves
  * when the rest is nearly right. */
-static bool begin_learning(const work *w, const fo_prior *prior, fo_posterior *out)
+static bool begin_learning(const fo_work *w, const fo_prior *prior, fo_posterior *out)
 {
     bool some[FO_L] = {false}, most[FO_L];
     static const int early[] = {FO_L_noise, FO_L_acceleration, FO_L_voltage, FO_L_drift, FO_L_loss,
@@ -184,70 +169,69 @@ static bool begin_learning(const work *w, const fo_prior *prior, fo_posterior *o
     fo_prior first = *prior;
     first.harmonics = 0.0;
     const fo_stage stages[2] = {{some, rough, FIRST, false, false}, {most, coarse, MOST, true, false}};
-    return stage_of(w, &first, &stages[0], out) && stage_of(w, prior, &stages[1], out);
+    return fo_learn(w, &first, &stages[0], out) && fo_learn(w, prior, &stages[1], out);
 }
 
 /* All, with the unrest of the acceleration, which takes its level along. */
-static bool end_learning(const work *w, const fo_prior *prior, fo_posterior *out)
+static bool end_learning(const fo_work *w, const fo_prior *prior, fo_posterior *out)
 {
     bool last[FO_L];
     for (int k = 0; k < FO_L; k++) last[k] = k != FO_L_acceleration;
     const fo_stage stage = {last, fine, LAST, true, true};
-    return stage_of(w, prior, &stage, out);
+    return fo_learn(w, prior, &stage, out);
 }
 
 /* Both hypotheses on the sensors of the current, with and without a limit of their range: the smaller
  * objective counts. `other`: working space. */
-static bool learn(work *w, const fo_file *file, const fo_prior *prior, const double *angle,
-                  const double *parameters, fo_course *other, fo_posterior *out)
+static bool learn(fo_work *w, const fo_file *file, const fo_prior *prior, const double *angle,
+                  const double *parameters, fo_course *other, fo_posterior *out, fo_smoothed *rows)
 {
     fo_prior priors[2] = {*prior, *prior};
     put(&priors[0], FO_L_range, 0.0, 0.0);
     fo_posterior posteriors[2];
-    fo_course *courses[2] = {w->course, other};
+    fo_course *courses[2] = {w->problem.course, other};
     int best = -1;
     for (int n = 0; n < 2; n++) {
-        begin(w->record, file, &priors[n], parameters, &posteriors[n]);
-        w->course = courses[n];
-        set_course(w->record, &w->machine, angle, posteriors[n].parameters, w->course);
+        begin(w->problem.log, file, &priors[n], parameters, &posteriors[n]);
+        w->problem.course = courses[n];
+        set_course(&w->problem, angle, posteriors[n].parameters);
         const bool learnt = begin_learning(w, &priors[n], &posteriors[n]);
         if (learnt && (best < 0 || posteriors[n].objective < posteriors[best].objective)) best = n;
     }
     if (best < 0) return false;
-    w->course = courses[best];
+    w->problem.course = courses[best];
     const bool learnt = end_learning(w, &priors[best], &posteriors[best]);
     *out = posteriors[best];
     out->evaluations = posteriors[0].evaluations + posteriors[1].evaluations;
     fo_likelihood last;
-    return learnt &&
-           fo_innovations(w->record, &w->machine, w->course, out->parameters, &w->start, &last,
-                          w->rows) &&
-           fo_covariance(&last, &priors[best], out);
+    if (!learnt || !fo_innovations(&w->problem, out->parameters, true, &last, w->checkpoints) ||
+        !fo_covariance(&last, &priors[best], out))
+        return false;
+    const fo_outputs wanted = {.smoothed = rows, .covariance = out->covariance};
+    fo_backward(&w->problem, out->parameters, w->checkpoints, w->rows, &wanted, NULL);
+    return true;
 }
 
 fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angle,
                            const double *parameters, fo_posterior *posterior, fo_smoothed *rows)
 {
     const fo_prior prior = fo_ordinary_prior(record, file);
+    const fo_machine machine = machine_of(file);
+    const fo_start start = any_start(record, file);
     fo_course *course = malloc(record->rows * sizeof *course);
     fo_course *other = malloc(record->rows * sizeof *other);
-    work w = {.record = record,
-              .machine = machine_of(file),
-              .start = any_start(record, file),
-              .course = course,
-              .rows = malloc(record->rows * sizeof(fo_row)),
-              .squares = malloc(record->rows * sizeof(fo_squares))};
+    fo_work w = {.problem = {record, &machine, &start, course},
+                 .checkpoints = malloc(fo_checkpoints(record->rows) * sizeof(fo_filter)),
+                 .rows = malloc(FO_CHUNK * sizeof(fo_row)),
+                 .squares = malloc(record->rows * sizeof(fo_squares))};
     fo_outcome outcome = FO_NO_MEMORY;
-    if (course && other && w.rows && w.squares) {
-        outcome = FO_NO_ESTIMATE;
-        if (learn(&w, file, &prior, angle, parameters, other, posterior)) {
-            fo_smooth(w.rows, record->rows, record->sample_time, posterior->parameters,
-                      posterior->covariance, rows);
-            outcome = FO_ESTIMATED;
-        }
+    if (course && other && w.checkpoints && w.rows && w.squares) {
+        const bool learnt = learn(&w, file, &prior, angle, parameters, other, posterior, rows);
+        outcome = learnt ? FO_ESTIMATED : FO_NO_ESTIMATE;
     }
     free(course);
     free(other);
+    free(w.checkpoints);
     free(w.rows);
     free(w.squares);
     return outcome;

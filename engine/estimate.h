@@ -3,7 +3,6 @@
 #define FLUXOBS_ESTIMATE_H
 
 #include "posterior.h"
-#include "smoothed.h"
 
 #ifdef __cplusplus
 extern "C" {

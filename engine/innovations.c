@@ -5,98 +5,117 @@
 
 #include "dual.h"
 
-enum { A = FO_ALPHA, B = FO_BETA };
+enum { A = FO_ALPHA, B = FO_BETA, S = FO_STATES };
 
-/* Derivatives of the states by the parameters that change the means only: the gain is the same. */
-enum { COLUMNS = FO_COLUMNS };
-typedef double sensitivity[FO_STATES][COLUMNS];
+/* Columns of the derivatives of the states. */
+enum {
+    POLE = FO_L_colour_pole - FO_LEVELS,
+    GAIN = FO_L_colour_gain - FO_LEVELS,
+    MODEL = FO_FIRST_OF_MODEL - FO_LEVELS,
+    MEANS = FO_FIRST_OF_MEANS - FO_LEVELS
+};
 
-typedef struct {
-    fo_dual x[FO_STATES];
-    fo_dual P[FO_STATES][FO_STATES];
-    fo_pair residual; /* of the last measurement, after its update */
-    bool measured;
-    int states;
-} state;
+const unsigned char fo_measured_states[FO_BY] = {FO_FLUX, FO_FLUX + 1, FO_ANGLE, FO_PSI};
 
-/* A measurement update. */
-typedef struct {
-    fo_dual e[2], V[2][2], w[2], K[FO_STATES][2]; /* V: inverse of the covariance; w = V e */
-    fo_dual S[2][2], det;
-    double angle; /* of the state before it, from the course */
-} update;
-
-/* A cage's slip and rotor flux follow the current; other machines lack these elements. */
+/* Where the elements of a kind begin. */
+enum {
+    OF_FLUX = 0,
+    FLUX_WIDTH = 7,
+    OF_SPEED = 14,
+    OWN_ANGLE = 18,
+    OWN_PSI = 19,
+    OF_CAGE = 20, /* slip and rotor flux follow the current */
+    OF_TIME = FO_BENT,
+    OF_NOISE = 33,
+    NOISE_WIDTH = 5
+};
 const unsigned char fo_pattern[FO_ELEMENTS][2] = {
     {0, 0}, {0, 1}, {0, FO_ANGLE}, {0, FO_SPEED}, {0, FO_PSI}, {0, FO_DRIFT}, {0, FO_DRIFT + 1},
     {1, 0}, {1, 1}, {1, FO_ANGLE}, {1, FO_SPEED}, {1, FO_PSI}, {1, FO_DRIFT}, {1, FO_DRIFT + 1},
-    {FO_ANGLE, FO_SPEED}, {FO_ANGLE, FO_ACCELERATION},
-    {FO_ANGLE, 0}, {FO_ANGLE, 1}, {FO_ANGLE, FO_ANGLE}, {FO_ANGLE, FO_PSI},
-    {FO_SPEED, 0}, {FO_SPEED, 1}, {FO_SPEED, FO_ANGLE}, {FO_SPEED, FO_PSI}, {FO_SPEED, FO_SPEED},
-    {FO_SPEED, FO_ACCELERATION},
-    {FO_PSI, 0}, {FO_PSI, 1}, {FO_PSI, FO_ANGLE}, {FO_PSI, FO_PSI},
-    {FO_ACCELERATION, FO_ACCELERATION}, {FO_DRIFT, FO_DRIFT},
+    {FO_SPEED, 0}, {FO_SPEED, 1}, {FO_SPEED, FO_ANGLE}, {FO_SPEED, FO_PSI},
+    {FO_ANGLE, FO_ANGLE}, {FO_PSI, FO_PSI},
+    {FO_ANGLE, 0}, {FO_ANGLE, 1}, {FO_ANGLE, FO_PSI}, {FO_PSI, 0}, {FO_PSI, 1}, {FO_PSI, FO_ANGLE},
+    {FO_ANGLE, FO_SPEED}, {FO_ANGLE, FO_ACCELERATION}, {FO_SPEED, FO_SPEED},
+    {FO_SPEED, FO_ACCELERATION}, {FO_ACCELERATION, FO_ACCELERATION}, {FO_DRIFT, FO_DRIFT},
     {FO_DRIFT + 1, FO_DRIFT + 1},
     {FO_NOISE, FO_NOISE}, {FO_NOISE, 0}, {FO_NOISE, 1}, {FO_NOISE, FO_ANGLE}, {FO_NOISE, FO_PSI},
     {FO_NOISE + 1, FO_NOISE + 1}, {FO_NOISE + 1, 0}, {FO_NOISE + 1, 1}, {FO_NOISE + 1, FO_ANGLE},
     {FO_NOISE + 1, FO_PSI}};
 
-typedef enum { GENERAL, CONSTANT, ABSENT } kind;
-
-/* An element; a constant one has no derivatives. */
-typedef struct {
-    fo_dual value;
-    kind kind;
-} element;
-typedef struct {
-    element at[FO_ELEMENTS];
-    int count;
-} transition;
-
-static void start_at(const fo_model *m, const fo_course *course, const fo_start *start, double speed,
-                     state *x, sensitivity by_means)
+fo_elements fo_elements_of(const fo_model *m)
 {
-    memset(x, 0, sizeof *x);
-    memset(by_means, 0, sizeof(sensitivity));
-    x->states = m->is_coloured ? FO_STATES : FO_WHITE;
-    x->x[FO_FLUX] = fo_constant(course->flux[A]);
-    x->x[FO_FLUX + 1] = fo_constant(course->flux[B]);
-    x->x[FO_ANGLE] = fo_constant(course->angle);
-    x->x[FO_SPEED] = fo_constant(speed);
-    x->x[FO_PSI] = fo_constant(course->psi);
-    const double stds[FO_WHITE] = {start->flux_std,  start->flux_std,  start->angle_std,
+    fo_elements e = {{0}, 0};
+    for (int k = 0; k < FO_ELEMENTS; k++) {
+        if (k >= OF_CAGE && k < OF_TIME && !m->machine.cage) continue;
+        if (k >= OF_NOISE && !m->is_coloured) continue;
+        e.at[e.count++] = (unsigned char)k;
+    }
+    return e;
+}
+
+/* Derivatives of the filter by a level or the colour: through the gain, they move the state. */
+typedef struct {
+    double x[S], P[S][S];
+} by_variance;
+
+/* What a pass over the rows needs. */
+typedef struct {
+    const fo_log *log;
+    const fo_course *course; /* of the row, and the next */
+    const fo_model *m;
+    fo_elements elements;
+    bool sensitive;     /* derivatives of the states are wanted */
+    by_variance *variances; /* or null */
+    size_t skipped;
+    fo_likelihood *out; /* or null */
+} pass;
+
+/* A measurement update. */
+typedef struct {
+    double e[2], R[2][2], S[2][2], V[2][2], w[2], K[S][2]; /* V: inverse of S; w = V e */
+    double det;
+    fo_dual H[2][FO_BY];
+    double by_model[2][FO_T]; /* derivatives of e, of the state held */
+    double angle;             /* of the state before it, from the course */
+} update;
+
+static void start_at(const fo_problem *q, const fo_model *m, fo_filter *f)
+{
+    const fo_start *start = q->start;
+    const fo_course *course = q->course;
+    memset(f, 0, sizeof *f);
+    f->turning =
+        q->log->rows > 1 ? (course[1].angle - course[0].angle) / q->log->sample_time : 0.0;
+    f->x[FO_FLUX] = course->flux[A];
+    f->x[FO_FLUX + 1] = course->flux[B];
+    f->x[FO_ANGLE] = course->angle;
+    f->x[FO_SPEED] = f->turning;
+    f->x[FO_PSI] = course->psi;
+    const double stds[FO_NOISE] = {start->flux_std,  start->flux_std,  start->angle_std,
                                    start->speed_std, start->psi_std,   start->acceleration_std,
                                    start->drift_std, start->drift_std};
-    for (int r = 0; r < FO_WHITE; r++) x->P[r][r] = fo_constant(stds[r] * stds[r]);
-    if (m->is_coloured)
-        x->P[FO_NOISE][FO_NOISE] = x->P[FO_NOISE + 1][FO_NOISE + 1] =
-            fo_mul(fo_mul(m->colour, m->colour), m->noise);
+    for (int r = 0; r < FO_NOISE; r++) f->P[r][r] = stds[r] * stds[r];
+    for (int r = FO_NOISE; r < S; r++) f->P[r][r] = m->colour * m->colour * m->noise;
+}
+
+/* The state's distance from the course. */
+static void deviation(const fo_course *at, const double x[S], double d[FO_BY])
+{
+    d[FO_BY_ALPHA] = x[FO_FLUX] - at->flux[A];
+    d[FO_BY_BETA] = x[FO_FLUX + 1] - at->flux[B];
+    d[FO_BY_ANGLE] = x[FO_ANGLE] - at->angle;
+    d[FO_BY_PSI] = x[FO_PSI] - at->psi;
 }
 
 /* Derivatives of the measured current. */
-typedef struct {
-    fo_dual by_flux[2][2], by_angle[2], by_psi[2];
-} measurement;
-
-static fo_dual sensed(const fo_prediction *p, int a, const fo_dual *x, const fo_dual *y)
+static void measured_slope(const fo_prediction *p, fo_dual H[2][FO_BY])
 {
-    return fo_axpy(fo_scale(p->sensed[a][A], *x), p->sensed[a][B], *y);
-}
-
-static measurement measurement_of(const fo_prediction *p)
-{
-    measurement H;
-    memcpy(H.by_flux, p->by_flux, sizeof H.by_flux);
-    memcpy(H.by_angle, p->by_angle, sizeof H.by_angle);
-    memcpy(H.by_psi, p->by_psi, sizeof H.by_psi);
-    if (!p->clipped) return H;
-    for (int a = 0; a < 2; a++) {
-        for (int b = 0; b < 2; b++)
-            H.by_flux[a][b] = sensed(p, a, &p->by_flux[A][b], &p->by_flux[B][b]);
-        H.by_angle[a] = sensed(p, a, &p->by_angle[A], &p->by_angle[B]);
-        H.by_psi[a] = sensed(p, a, &p->by_psi[A], &p->by_psi[B]);
-    }
-    return H;
+    memcpy(H, p->slope, sizeof p->slope);
+    if (!p->clipped) return;
+    for (int a = 0; a < 2; a++)
+        for (int k = 0; k < FO_BY; k++)
+            H[a][k] = fo_axpy(fo_scale(p->sensed[a][A], p->slope[A][k]), p->sensed[a][B],
+                              p->slope[B][k]);
 }
 
 /* A saturated sensor hides its noise too, except for this share of the variance, which the converter
@@ -110,184 +129,168 @@ static double noise_of(const fo_prediction *p, int a, int b)
     return (1.0 - behind) * passed + (a == b ? behind : 0.0);
 }
 
-/* Measurement update. */
-static bool measure(const fo_model *m, const double measured[2], const fo_course *at,
-                    const fo_prediction *p, const measurement *H, state *x, update *z)
+/* B ← P Hᵀ; the noise's states are added to the current. */
+static void times_slope(double P[S][S], double H[2][FO_BY], double out[S][2])
 {
-    const int states = x->states;
-    const fo_dual flux[2] = {fo_shift(-at->flux[A], x->x[FO_FLUX]),
-                             fo_shift(-at->flux[B], x->x[FO_FLUX + 1])};
-    const fo_dual angle = fo_shift(-at->angle, x->x[FO_ANGLE]);
-    const fo_dual psi = fo_shift(-at->psi, x->x[FO_PSI]);
-    fo_dual PH[FO_STATES][2];
-    z->angle = angle.d[0];
     for (int a = 0; a < 2; a++) {
-        const fo_dual i = a ? p->measured.b : p->measured.a;
-        fo_dual e = fo_shift(measured[a], fo_scale(-1.0, i));
-        fo_reduce(&e, &H->by_flux[a][A], &flux[A]);
-        fo_reduce(&e, &H->by_flux[a][B], &flux[B]);
-        fo_reduce(&e, &H->by_angle[a], &angle);
-        fo_reduce(&e, &H->by_psi[a], &psi);
-        if (states > FO_WHITE) e = fo_sub(e, x->x[FO_NOISE + a]);
-        z->e[a] = e;
-        for (int r = 0; r < states; r++) {
-            const fo_dual *P = x->P[r];
-            fo_product(&PH[r][a], &P[FO_FLUX], &H->by_flux[a][A]);
-            fo_accumulate(&PH[r][a], &P[FO_FLUX + 1], &H->by_flux[a][B]);
-            fo_accumulate(&PH[r][a], &P[FO_ANGLE], &H->by_angle[a]);
-            fo_accumulate(&PH[r][a], &P[FO_PSI], &H->by_psi[a]);
-            if (states > FO_WHITE) PH[r][a] = fo_add(PH[r][a], P[FO_NOISE + a]);
+        const double *h = H[a];
+        for (int r = 0; r < S; r++)
+            out[r][a] = P[r][FO_FLUX] * h[FO_BY_ALPHA] + P[r][FO_FLUX + 1] * h[FO_BY_BETA] +
+                        P[r][FO_ANGLE] * h[FO_BY_ANGLE] + P[r][FO_PSI] * h[FO_BY_PSI] +
+                        P[r][FO_NOISE + a];
+    }
+}
+
+static double slope_times(double H[2][FO_BY], int a, double x[S][2], int b)
+{
+    double sum = x[FO_NOISE + a][b];
+    for (int k = 0; k < FO_BY; k++) sum += H[a][k] * x[fo_measured_states[k]][b];
+    return sum;
+}
+
+/* Measurement update of the derivatives by levels and colour, with ∂K = (∂(P Hᵀ) − K ∂S) S⁻¹, and their part
+ * of the information, ∂eᵀ S⁻¹ ∂e + ½ tr(S⁻¹ ∂S S⁻¹ ∂S). */
+static void measure_variances(const pass *q, double H[2][FO_BY], const update *z, bool counted)
+{
+    double VS[FO_VARIANCES][2][2], e[FO_VARIANCES][2];
+    for (int l = 0; l < FO_VARIANCES; l++) {
+        by_variance *own = q->variances + l;
+        double PH[S][2], by[2][2];
+        times_slope(own->P, H, PH);
+        for (int a = 0; a < 2; a++) {
+            e[l][a] = -own->x[FO_NOISE + a];
+            for (int k = 0; k < FO_BY; k++) e[l][a] -= H[a][k] * own->x[fo_measured_states[k]];
+            for (int b = 0; b < 2; b++)
+                by[a][b] = slope_times(H, a, PH, b) + (l == FO_L_noise ? 2.0 * z->R[a][b] : 0.0);
+        }
+        for (int a = 0; a < 2; a++)
+            for (int b = 0; b < 2; b++)
+                VS[l][a][b] = z->V[a][0] * by[0][b] + z->V[a][1] * by[1][b];
+        for (int r = 0; r < S; r++) {
+            const double k = z->K[r][0], n = z->K[r][1];
+            const double x = k * by[0][0] + n * by[1][0] - PH[r][0];
+            const double y = k * by[0][1] + n * by[1][1] - PH[r][1];
+            own->x[r] += k * e[l][0] + n * e[l][1] - x * z->w[0] - y * z->w[1];
+            for (int c = 0; c < S; c++)
+                own->P[r][c] += x * z->K[c][0] + y * z->K[c][1] - k * PH[c][0] - n * PH[c][1];
         }
     }
+    if (!counted) return;
+    for (int l = 0; l < FO_VARIANCES; l++)
+        for (int n = 0; n <= l; n++) {
+            double *sum = q->out->information + l * FO_UNKNOWNS + n;
+            for (int a = 0; a < 2; a++)
+                for (int b = 0; b < 2; b++)
+                    *sum += e[l][a] * z->V[a][b] * e[n][b] + 0.5 * VS[l][a][b] * VS[n][b][a];
+        }
+}
+
+/* Measurement update of state and covariance. */
+static bool measure(const pass *q, const double measured[2], const fo_prediction *p, fo_filter *f,
+                    bool counted, update *z)
+{
+    const fo_model *m = q->m;
+    double d[FO_BY], H[2][FO_BY], PH[S][2];
+    deviation(q->course, f->x, d);
+    z->angle = d[FO_BY_ANGLE];
+    for (int a = 0; a < 2; a++) {
+        fo_dual e = fo_shift(measured[a], fo_scale(-1.0, a ? p->measured.b : p->measured.a));
+        for (int k = 0; k < FO_BY; k++) {
+            H[a][k] = z->H[a][k].d[0];
+            fo_accumulate_scaled(&e, -d[k], &z->H[a][k]);
+        }
+        z->e[a] = e.d[0] - f->x[FO_NOISE + a];
+        memcpy(z->by_model[a], e.d + 1, sizeof z->by_model[a]);
+    }
+    times_slope(f->P, H, PH);
     for (int a = 0; a < 2; a++)
         for (int b = a; b < 2; b++) {
-            fo_dual S = fo_scale(at->doubt * noise_of(p, a, b), m->noise);
-            fo_accumulate(&S, &H->by_flux[a][A], &PH[FO_FLUX][b]);
-            fo_accumulate(&S, &H->by_flux[a][B], &PH[FO_FLUX + 1][b]);
-            fo_accumulate(&S, &H->by_angle[a], &PH[FO_ANGLE][b]);
-            fo_accumulate(&S, &H->by_psi[a], &PH[FO_PSI][b]);
-            if (states > FO_WHITE) S = fo_add(S, PH[FO_NOISE + a][b]);
-            z->S[a][b] = z->S[b][a] = S;
+            z->R[a][b] = z->R[b][a] = q->course->doubt * m->noise * noise_of(p, a, b);
+            z->S[a][b] = z->S[b][a] = z->R[a][b] + slope_times(H, a, PH, b);
         }
-    z->det = fo_msub(fo_mul(z->S[0][0], z->S[1][1]), z->S[0][1], z->S[0][1]);
-    if (!(z->det.d[0] > 0.0) || !isfinite(z->det.d[0]) || !isfinite(z->e[0].d[0])) return false;
-    const fo_dual inverse = fo_inverse(z->det);
-    z->V[0][0] = fo_mul(z->S[1][1], inverse);
-    z->V[0][1] = z->V[1][0] = fo_scale(-1.0, fo_mul(z->S[0][1], inverse));
-    z->V[1][1] = fo_mul(z->S[0][0], inverse);
-    for (int a = 0; a < 2; a++) {
-        fo_product(&z->w[a], &z->V[a][0], &z->e[0]);
-        fo_accumulate(&z->w[a], &z->V[a][1], &z->e[1]);
+    z->det = z->S[0][0] * z->S[1][1] - z->S[0][1] * z->S[0][1];
+    if (!(z->det > 0.0) || !isfinite(z->det) || !isfinite(z->e[0])) return false;
+    z->V[0][0] = z->S[1][1] / z->det;
+    z->V[0][1] = z->V[1][0] = -z->S[0][1] / z->det;
+    z->V[1][1] = z->S[0][0] / z->det;
+    for (int a = 0; a < 2; a++) z->w[a] = z->V[a][0] * z->e[0] + z->V[a][1] * z->e[1];
+    for (int r = 0; r < S; r++) {
+        for (int a = 0; a < 2; a++) z->K[r][a] = PH[r][0] * z->V[0][a] + PH[r][1] * z->V[1][a];
+        f->x[r] += PH[r][0] * z->w[0] + PH[r][1] * z->w[1];
     }
-    for (int r = 0; r < states; r++) {
-        for (int a = 0; a < 2; a++) {
-            fo_product(&z->K[r][a], &PH[r][0], &z->V[0][a]);
-            fo_accumulate(&z->K[r][a], &PH[r][1], &z->V[1][a]);
-            fo_accumulate(&x->x[r], &PH[r][a], &z->w[a]);
-        }
-        for (int c = r; c < states; c++) {
-            fo_reduce(&x->P[r][c], &z->K[r][0], &PH[c][0]);
-            fo_reduce(&x->P[r][c], &z->K[r][1], &PH[c][1]);
-            x->P[c][r] = x->P[r][c];
-        }
-    }
-    const fo_dual noise = fo_scale(at->doubt, m->noise);
-    fo_product(&x->residual.a, &noise, &z->w[A]);
-    fo_product(&x->residual.b, &noise, &z->w[B]);
-    x->measured = true;
+    for (int r = 0; r < S; r++)
+        for (int c = 0; c < S; c++)
+            f->P[r][c] -= z->K[r][0] * PH[c][0] + z->K[r][1] * PH[c][1];
+    if (q->variances) measure_variances(q, H, z, counted);
     return true;
 }
 
-/* Derivatives of the innovation by all parameters, and the update of those of the state by the
- * parameters of the means. */
-static void error_derivatives(const fo_prediction *p, const measurement *H, const update *z,
-                              int states, sensitivity x, double by[2][FO_UNKNOWNS])
+/* Derivatives of the innovation, and the update of those of the state. */
+static void measure_sensitivity(const fo_prediction *p, const update *z, fo_filter *f,
+                                double by[2][FO_SENSITIVE])
 {
     for (int a = 0; a < 2; a++) {
-        for (int k = 0; k < FO_C; k++) by[a][k] = z->e[a].d[k + 1];
-        for (int k = 0; k < COLUMNS; k++) {
-            double e = -p->measured_by[a][k] - H->by_flux[a][A].d[0] * x[FO_FLUX][k] -
-                       H->by_flux[a][B].d[0] * x[FO_FLUX + 1][k] -
-                       H->by_angle[a].d[0] * x[FO_ANGLE][k] - H->by_psi[a].d[0] * x[FO_PSI][k];
-            if (states > FO_WHITE) e -= x[FO_NOISE + a][k];
-            by[a][FO_C + k] = e;
+        double *e = by[a];
+        for (int j = 0; j < FO_SENSITIVE; j++) e[j] = -f->by[FO_NOISE + a][j];
+        for (int k = 0; k < FO_BY; k++) {
+            const double h = z->H[a][k].d[0], *x = f->by[fo_measured_states[k]];
+            for (int j = 0; j < FO_SENSITIVE; j++) e[j] -= h * x[j];
         }
-        for (int k = 0; k < 2 * FO_ORDERS; k++)
-            by[a][FO_L + k] -= z->angle * (p->sensed[a][A] * p->angle_by[A][k] +
-                                           p->sensed[a][B] * p->angle_by[B][k]);
+        for (int j = 0; j < FO_T; j++) e[MODEL + j] += z->by_model[a][j];
+        for (int j = 0; j < FO_COLUMNS; j++) e[MEANS + j] -= p->measured_by[a][j];
+        for (int j = 0; j < 2 * FO_ORDERS; j++)
+            e[FO_L - FO_LEVELS + j] -= z->angle * (p->sensed[a][A] * p->angle_by[A][j] +
+                                                   p->sensed[a][B] * p->angle_by[B][j]);
     }
-    for (int r = 0; r < states; r++)
-        for (int k = 0; k < COLUMNS; k++)
-            x[r][k] += z->K[r][0].d[0] * by[0][FO_C + k] + z->K[r][1].d[0] * by[1][FO_C + k];
+    for (int r = 0; r < S; r++) {
+        const double k = z->K[r][0], n = z->K[r][1];
+        for (int j = 0; j < FO_SENSITIVE; j++) f->by[r][j] += k * by[0][j] + n * by[1][j];
+    }
 }
 
-/* Adds a row to the objective, the score and the information. */
-static void count(const update *z, double by[2][FO_UNKNOWNS], fo_likelihood *out)
+/* Adds a row to the objective, to the score through the means, and to the information. */
+static void count(const update *z, double by[2][FO_SENSITIVE], fo_likelihood *out)
 {
-    const fo_dual square = fo_mac(fo_mul(z->e[0], z->w[0]), z->e[1], z->w[1]);
-    const double inverse = 1.0 / z->det.d[0];
-    out->objective += 0.5 * (square.d[0] + log(z->det.d[0]));
-    out->mean_square += 0.5 * square.d[0];
+    const double square = z->e[0] * z->w[0] + z->e[1] * z->w[1];
+    out->objective += 0.5 * (square + log(z->det));
+    out->mean_square += 0.5 * square;
     out->counted++;
-    for (int k = 0; k < FO_C; k++)
-        out->score[k] += 0.5 * (square.d[k + 1] + z->det.d[k + 1] * inverse);
-    for (int k = FO_C; k < FO_UNKNOWNS; k++)
-        out->score[k] += by[0][k] * z->w[0].d[0] + by[1][k] * z->w[1].d[0];
-    for (int r = 0; r < FO_UNKNOWNS; r++) {
-        const double a = z->V[0][0].d[0] * by[0][r] + z->V[0][1].d[0] * by[1][r];
-        const double b = z->V[1][0].d[0] * by[0][r] + z->V[1][1].d[0] * by[1][r];
-        double *row = out->information + r * FO_UNKNOWNS;
-        for (int c = 0; c <= r; c++) row[c] += a * by[0][c] + b * by[1][c];
-    }
-    /* ½ tr(S⁻¹ ∂S S⁻¹ ∂S) */
-    double VS[2][2][FO_C];
-    for (int a = 0; a < 2; a++)
-        for (int b = 0; b < 2; b++)
-            for (int k = 0; k < FO_C; k++)
-                VS[a][b][k] = z->V[a][0].d[0] * z->S[0][b].d[k + 1] +
-                              z->V[a][1].d[0] * z->S[1][b].d[k + 1];
-    for (int r = 0; r < FO_C; r++)
-        for (int c = 0; c <= r; c++)
-            out->information[r * FO_UNKNOWNS + c] +=
-                0.5 * (VS[0][0][r] * VS[0][0][c] + VS[0][1][r] * VS[1][0][c] +
-                       VS[1][0][r] * VS[0][1][c] + VS[1][1][r] * VS[1][1][c]);
-}
-
-static void put(transition *F, fo_dual value)
-{
-    element *e = &F->at[F->count++];
-    e->value = value;
-    e->kind = GENERAL;
-}
-
-static void put_constant(transition *F, double value)
-{
-    element *e = &F->at[F->count++];
-    e->value = fo_constant(value);
-    e->kind = CONSTANT;
-}
-
-static void put_nothing(transition *F, int count)
-{
-    for (int k = 0; k < count; k++) {
-        put_constant(F, 0.0);
-        F->at[F->count - 1].kind = ABSENT;
+    double *score = out->score + FO_LEVELS;
+    for (int j = 0; j < FO_SENSITIVE; j++) score[j] += by[0][j] * z->w[0] + by[1][j] * z->w[1];
+    for (int r = MODEL; r < FO_SENSITIVE; r++) {
+        const double a = z->V[0][0] * by[0][r] + z->V[0][1] * by[1][r];
+        const double b = z->V[1][0] * by[0][r] + z->V[1][1] * by[1][r];
+        double *row = out->information + (r + FO_LEVELS) * FO_UNKNOWNS + FO_LEVELS;
+        for (int c = MODEL; c <= r; c++) row[c] += a * by[0][c] + b * by[1][c];
     }
 }
 
-/* r ← r + e x, or e x if r is not written yet. */
-static void apply(const element *e, const fo_dual *x, fo_dual *r, bool written)
-{
-    if (e->kind == GENERAL)
-        (written ? fo_accumulate : fo_product)(r, &e->value, x);
-    else if (written)
-        fo_accumulate_scaled(r, e->value.d[0], x);
-    else
-        *r = fo_scale(e->value.d[0], *x);
-}
+/* Transition to the next row. */
+typedef struct {
+    fo_dual bent[FO_BENT];
+    double F[FO_ELEMENTS];
+} transition;
 
 /* P ← F P Fᵀ */
-static void move_covariance(const transition *F, state *x)
+static void move_covariance(const fo_elements *elements, const double F[FO_ELEMENTS], double P[S][S])
 {
-    fo_dual M[FO_STATES][FO_STATES];
-    bool written[FO_STATES] = {false};
-    const int states = x->states;
-    for (int k = 0; k < F->count; k++) {
-        const int row = fo_pattern[k][0], column = fo_pattern[k][1];
-        if (F->at[k].kind == ABSENT) continue;
-        for (int c = 0; c < states; c++)
-            apply(&F->at[k], &x->P[column][c], &M[row][c], written[row]);
-        written[row] = true;
+    double M[S][S] = {{0.0}}, T[S][S] = {{0.0}};
+    for (int n = 0; n < elements->count; n++) {
+        const int k = elements->at[n];
+        const double f = F[k], *from = P[fo_pattern[k][1]];
+        double *to = M[fo_pattern[k][0]];
+        for (int c = 0; c < S; c++) to[c] += f * from[c];
     }
-    memset(written, 0, sizeof written);
-    for (int k = 0; k < F->count; k++) {
-        const int row = fo_pattern[k][0], column = fo_pattern[k][1];
-        if (F->at[k].kind == ABSENT) continue;
-        for (int r = 0; r <= row; r++) apply(&F->at[k], &M[r][column], &x->P[r][row], written[row]);
-        written[row] = true;
+    for (int r = 0; r < S; r++)
+        for (int c = 0; c < S; c++) P[r][c] = M[c][r];
+    for (int n = 0; n < elements->count; n++) {
+        const int k = elements->at[n];
+        const double f = F[k], *from = P[fo_pattern[k][1]];
+        double *to = T[fo_pattern[k][0]];
+        for (int c = 0; c < S; c++) to[c] += f * from[c];
     }
-    for (int r = 0; r < states; r++)
-        for (int c = 0; c < r; c++) x->P[r][c] = x->P[c][r];
+    for (int r = 0; r < S; r++)
+        for (int c = r; c < S; c++) P[r][c] = P[c][r] = T[r][c];
 }
 
 /* An interval: its voltage, the derivative of this by the lag, and both rows of the course. */
@@ -296,7 +299,6 @@ typedef struct {
     double place; /* of the interval in the log, from 0 to 1 */
     const fo_course *from, *to;
     const fo_prediction *at, *next;
-    const measurement *sensed; /* at the row before it */
 } interval;
 
 /* The electrical part of an interval. Flux and current change within it. With X = h R ∂i/∂λ the current
@@ -327,9 +329,9 @@ static void currents_of(const interval *t, electrical *e)
         mean[a] = a ? t->at->terminal.b : t->at->terminal.a;
         middle[a] = fo_axpy(mean[a], 0.5, step[a]);
         for (int b = 0; b < 2; b++) fo_accumulate(&mean[a], &e->W[a][b], &step[b]);
-        fo_dual bend = fo_scale(turn, fo_sub(t->next->by_angle[a], t->at->by_angle[a]));
-        for (int b = 0; b < 2; b++)
-            bend = fo_axpy(bend, change[b], fo_sub(t->next->by_flux[a][b], t->at->by_flux[a][b]));
+        const fo_dual *from = t->at->slope[a], *to = t->next->slope[a];
+        fo_dual bend = fo_scale(turn, fo_sub(to[FO_BY_ANGLE], from[FO_BY_ANGLE]));
+        for (int b = 0; b < 2; b++) bend = fo_axpy(bend, change[b], fo_sub(to[b], from[b]));
         fo_accumulate_scaled(&mean[a], -1.0 / 12.0, &bend);
         fo_accumulate_scaled(&middle[a], -1.0 / 8.0, &bend);
     }
@@ -360,7 +362,7 @@ static electrical electrical_of(const fo_model *m, const interval *t)
         }
     const fo_dual hR = fo_scale(t->h, e.R);
     fo_dual by_flux[2][2], X[2][2], both[2][2], square[2][2], whole[2][2];
-    memcpy(by_flux, t->at->by_flux, sizeof by_flux);
+    for (int a = 0; a < 2; a++) memcpy(by_flux[a], t->at->slope[a], sizeof by_flux[a]);
     for (int a = 0; a < 2; a++)
         for (int b = 0; b < 2; b++) X[a][b] = fo_mul(hR, by_flux[a][b]);
     matrix_product(e.slope, by_flux, both);
@@ -388,7 +390,7 @@ static electrical electrical_of(const fo_model *m, const interval *t)
 typedef struct {
     double psi, rate;       /* [Wb]; R_R h [Ω s] */
     fo_dual i_d, i_q;       /* mean currents */
-    double by[2][COLUMNS];  /* of i_d and i_q, by the parameters of the means */
+    double by[2][FO_COLUMNS];  /* of i_d and i_q, by the parameters of the means */
 } cage;
 
 static const double least_psi = 1e-9; /* [Wb]: the slip is finite */
@@ -407,7 +409,7 @@ static cage cage_of(const fo_model *m, const interval *t)
         const fo_prediction *p = ends[n];
         g.i_d = fo_add(g.i_d, fo_axpy(fo_scale(c, p->current.a), s, p->current.b));
         g.i_q = fo_add(g.i_q, fo_axpy(fo_scale(c, p->current.b), -s, p->current.a));
-        for (int j = 0; j < COLUMNS; j++) {
+        for (int j = 0; j < FO_COLUMNS; j++) {
             g.by[0][j] += c * p->by[A][j] + s * p->by[B][j];
             g.by[1][j] += c * p->by[B][j] - s * p->by[A][j];
         }
@@ -423,174 +425,151 @@ static cage cage_of(const fo_model *m, const interval *t)
                             0.5 * (c * (x[B] + y[B]) - s * (x[A] + y[A]))};
     g.i_d.d[0] -= share * turn * (2.0 * step[1] - turn * mean[0]);
     g.i_q.d[0] -= share * turn * (-2.0 * step[0] - turn * mean[1]);
-    const int iron = FO_L_iron_loss - FO_C; /* its current does not reach the rotor */
+    const int iron = FO_L_iron_loss - FO_FIRST_OF_MEANS; /* its current does not reach the rotor */
     g.by[0][iron] = g.by[1][iron] = 0.0;
     return g;
 }
 
-/* Flux after the interval, and its rows of the transition. `flux` and `angle`: deviations from the
- * course before it. */
-static void move_flux(const fo_model *m, const interval *t, const electrical *e, const fo_dual flux[2],
-                      const cage *g, fo_dual angle, fo_dual psi, state *x, transition *F)
+/* Flux after the interval, and its rows of the transition. `d`: the state's distance from the course
+ * before it. */
+static void move_flux(const fo_model *m, const interval *t, const electrical *e, const cage *g,
+                      const double d[FO_BY], const double x[S], fo_dual moved[2], transition *F)
 {
     const double h = t->h;
     const fo_prediction *p = t->at;
     const double u[2] = {t->now[A] + m->lag * t->late[A], t->now[B] + m->lag * t->late[B]};
     /* How much more the angle turns than the course. */
-    fo_dual step = fo_shift(t->from->angle - t->to->angle, fo_scale(h, x->x[FO_SPEED]));
+    fo_dual step = fo_constant(t->from->angle - t->to->angle + h * x[FO_SPEED]);
     if (m->machine.cage) step = fo_axpy(step, g->rate / g->psi, g->i_q);
     fo_dual r[2], by_angle[2], by_psi[2], by_step[2], late[2];
+    const fo_dual *alpha = p->slope[A], *beta = p->slope[B];
     for (int a = 0; a < 2; a++) {
-        fo_product(&late[a], &e->W[a][A], &p->by_angle[A]);
-        fo_accumulate(&late[a], &e->W[a][B], &p->by_angle[B]);
+        fo_product(&late[a], &e->W[a][A], &alpha[FO_BY_ANGLE]);
+        fo_accumulate(&late[a], &e->W[a][B], &beta[FO_BY_ANGLE]);
     }
     for (int a = 0; a < 2; a++) {
         const fo_dual i = a ? e->mean.b : e->mean.a;
-        r[a] = fo_shift(h * u[a] - t->to->flux[a], x->x[FO_FLUX + a]);
-        fo_accumulate_scaled(&r[a], -h, &x->x[FO_DRIFT + a]);
-        r[a] = fo_axpy(r[a], -h, fo_mul(e->R, i));
+        r[a] = fo_scale(-h, fo_mul(e->R, i));
+        r[a].d[0] += h * u[a] - t->to->flux[a] + x[FO_FLUX + a] - h * x[FO_DRIFT + a];
         r[a].d[0] -= h * m->loss * e->sign.value[a];
         for (int k = 1; k < FO_WIDTH; k++)
             r[a].d[k] -= h * m->loss * (e->sign.by_current[a][A] * e->middle.a.d[k] +
                                         e->sign.by_current[a][B] * e->middle.b.d[k]);
-        fo_product(&by_angle[a], &e->slope[a][A], &p->by_angle[A]);
-        fo_accumulate(&by_angle[a], &e->slope[a][B], &p->by_angle[B]);
-        fo_product(&by_psi[a], &e->slope[a][A], &p->by_psi[A]);
-        fo_accumulate(&by_psi[a], &e->slope[a][B], &p->by_psi[B]);
+        fo_product(&by_angle[a], &e->slope[a][A], &alpha[FO_BY_ANGLE]);
+        fo_accumulate(&by_angle[a], &e->slope[a][B], &beta[FO_BY_ANGLE]);
+        fo_product(&by_psi[a], &e->slope[a][A], &alpha[FO_BY_PSI]);
+        fo_accumulate(&by_psi[a], &e->slope[a][B], &beta[FO_BY_PSI]);
         fo_product(&by_step[a], &e->slope[a][A], &late[A]);
         fo_accumulate(&by_step[a], &e->slope[a][B], &late[B]);
-        fo_reduce(&r[a], &by_angle[a], &angle);
-        fo_reduce(&r[a], &by_psi[a], &psi);
+        fo_accumulate_scaled(&r[a], -d[FO_BY_ANGLE], &by_angle[a]);
+        fo_accumulate_scaled(&r[a], -d[FO_BY_PSI], &by_psi[a]);
         fo_reduce(&r[a], &by_step[a], &step);
-        for (int b = 0; b < 2; b++) fo_reduce(&r[a], &e->half[a][b], &flux[b]);
+        for (int b = 0; b < 2; b++) fo_accumulate_scaled(&r[a], -d[b], &e->half[a][b]);
     }
     for (int a = 0; a < 2; a++) {
         const fo_dual *M = e->M[a];
+        fo_dual *own = F->bent + OF_FLUX + FLUX_WIDTH * a;
         for (int b = 0; b < 2; b++) {
-            fo_dual kept = M[b];
-            fo_reduce(&kept, &M[A], &e->half[A][b]);
-            fo_reduce(&kept, &M[B], &e->half[B][b]);
-            put(F, kept);
+            own[b] = M[b];
+            fo_reduce(&own[b], &M[A], &e->half[A][b]);
+            fo_reduce(&own[b], &M[B], &e->half[B][b]);
         }
-        put(F, fo_scale(-1.0, fo_mac(fo_mul(M[A], by_angle[A]), M[B], by_angle[B])));
-        put(F, fo_scale(-h, fo_mac(fo_mul(M[A], by_step[A]), M[B], by_step[B])));
-        put(F, fo_scale(-1.0, fo_mac(fo_mul(M[A], by_psi[A]), M[B], by_psi[B])));
-        put(F, fo_scale(-h, M[A]));
-        put(F, fo_scale(-h, M[B]));
-        fo_dual moved = fo_shift(t->to->flux[a], fo_mul(M[A], r[A]));
-        fo_accumulate(&moved, &M[B], &r[B]);
-        x->x[FO_FLUX + a] = moved;
+        own[2] = fo_scale(-1.0, fo_mac(fo_mul(M[A], by_angle[A]), M[B], by_angle[B]));
+        own[3] = fo_scale(-h, fo_mac(fo_mul(M[A], by_step[A]), M[B], by_step[B]));
+        own[4] = fo_scale(-1.0, fo_mac(fo_mul(M[A], by_psi[A]), M[B], by_psi[B]));
+        own[5] = fo_scale(-h, M[A]);
+        own[6] = fo_scale(-h, M[B]);
+        moved[a] = fo_shift(t->to->flux[a], fo_mul(M[A], r[A]));
+        fo_accumulate(&moved[a], &M[B], &r[B]);
     }
 }
 
-/* Derivatives of a current in rotor coordinates by flux α and β, angle and ψ. */
-enum { BY_ALPHA, BY_BETA, BY_ANGLE, BY_PSI, BY };
-
-static void rotor_derivatives(const fo_prediction *p, double angle, fo_dual d[BY], fo_dual q[BY])
+/* Derivatives of a current in rotor coordinates. */
+static void rotor_derivatives(const fo_prediction *p, double angle, fo_dual d[FO_BY], fo_dual q[FO_BY])
 {
     const double c = cos(angle), s = sin(angle);
-    const fo_dual *alpha[BY] = {&p->by_flux[A][A], &p->by_flux[A][B], &p->by_angle[A], &p->by_psi[A]};
-    const fo_dual *beta[BY] = {&p->by_flux[B][A], &p->by_flux[B][B], &p->by_angle[B], &p->by_psi[B]};
-    for (int k = 0; k < BY; k++) {
-        d[k] = fo_axpy(fo_scale(c, *alpha[k]), s, *beta[k]);
-        q[k] = fo_axpy(fo_scale(c, *beta[k]), -s, *alpha[k]);
+    for (int k = 0; k < FO_BY; k++) {
+        d[k] = fo_axpy(fo_scale(c, p->slope[A][k]), s, p->slope[B][k]);
+        q[k] = fo_axpy(fo_scale(c, p->slope[B][k]), -s, p->slope[A][k]);
     }
     const fo_dual i_d = fo_axpy(fo_scale(c, p->current.a), s, p->current.b);
     const fo_dual i_q = fo_axpy(fo_scale(c, p->current.b), -s, p->current.a);
-    d[BY_ANGLE] = fo_add(d[BY_ANGLE], i_q);
-    q[BY_ANGLE] = fo_sub(q[BY_ANGLE], i_d);
+    d[FO_BY_ANGLE] = fo_add(d[FO_BY_ANGLE], i_q);
+    q[FO_BY_ANGLE] = fo_sub(q[FO_BY_ANGLE], i_d);
 }
 
 /* Angle, speed and ψ after the interval, with their rows of the transition: the torque is 3/2 n_p times
  * flux × current. */
-static void move_rotor(const fo_model *m, const interval *t, const cage *g, const fo_dual flux[2],
-                       fo_dual angle, fo_dual psi, state *x, transition *F)
+static void move_rotor(const fo_model *m, const interval *t, const cage *g, const double d[FO_BY],
+                       const double x[S], fo_dual *angle, fo_dual *speed, fo_dual *psi, transition *F)
 {
     const double h = t->h, *course = t->from->flux;
     const fo_prediction *p = t->at;
     const fo_dual torque = fo_axpy(fo_scale(course[A], p->current.b), -course[B], p->current.a);
     const fo_dual mobility = fo_scale(h, m->mobility);
-    const fo_dual *deviations[BY] = {&flux[A], &flux[B], &angle, &psi};
-    const fo_dual by[BY] = {
-        fo_mul(mobility, fo_add(fo_axpy(fo_scale(course[A], p->by_flux[B][A]), -course[B],
-                                        p->by_flux[A][A]), p->current.b)),
-        fo_mul(mobility, fo_sub(fo_axpy(fo_scale(course[A], p->by_flux[B][B]), -course[B],
-                                        p->by_flux[A][B]), p->current.a)),
-        fo_mul(mobility, fo_axpy(fo_scale(course[A], p->by_angle[B]), -course[B], p->by_angle[A])),
-        fo_mul(mobility, fo_axpy(fo_scale(course[A], p->by_psi[B]), -course[B], p->by_psi[A]))};
-    fo_dual d[BY], q[BY], slip = fo_constant(0.0);
-    put_constant(F, h);
-    put_constant(F, 0.5 * h * h);
-    if (m->machine.cage) {
-        const double over = g->rate / g->psi;
-        rotor_derivatives(p, t->from->angle, d, q);
-        slip = fo_scale(over, g->i_q);
-        q[BY_PSI].d[0] -= g->i_q.d[0] / g->psi;
-        for (int k = 0; k < BY; k++) {
-            q[k] = fo_scale(over, q[k]);
-            d[k] = fo_scale(g->rate, d[k]);
-            fo_accumulate(&slip, &q[k], deviations[k]);
-        }
-        q[BY_ANGLE].d[0] += 1.0;
-        d[BY_PSI].d[0] += 1.0 - g->rate * m->over_L_M;
-        fo_dual moved = fo_shift(-g->rate * m->over_L_M * g->psi + t->from->psi,
-                                 fo_scale(g->rate, g->i_d));
-        for (int k = 0; k < BY; k++) fo_accumulate(&moved, &d[k], deviations[k]);
-        x->x[FO_PSI] = moved;
-        for (int k = 0; k < BY; k++) put(F, q[k]);
-    } else {
-        put_nothing(F, 2);
-        put_constant(F, 1.0);
-        put_nothing(F, 1);
+    fo_dual *by = F->bent + OF_SPEED;
+    for (int k = 0; k < FO_BY; k++) {
+        by[k] = fo_axpy(fo_scale(course[A], p->slope[B][k]), -course[B], p->slope[A][k]);
+        if (k == FO_BY_ALPHA) by[k] = fo_add(by[k], p->current.b);
+        if (k == FO_BY_BETA) by[k] = fo_sub(by[k], p->current.a);
+        by[k] = fo_mul(mobility, by[k]);
     }
-    for (int k = 0; k < BY; k++) put(F, by[k]);
-    put_constant(F, 1.0);
-    put_constant(F, h);
-    if (m->machine.cage) {
-        for (int k = 0; k < BY; k++) put(F, d[k]);
-    } else {
-        put_nothing(F, 3);
-        put_constant(F, 1.0);
+    *speed = fo_shift(h * x[FO_ACCELERATION], fo_mul(mobility, torque));
+    *angle = fo_shift(x[FO_ANGLE] + h * x[FO_SPEED], fo_scale(0.5 * h, *speed));
+    for (int k = 0; k < FO_BY; k++) fo_accumulate_scaled(speed, d[k], &by[k]);
+    *speed = fo_shift(x[FO_SPEED], *speed);
+    *psi = fo_constant(x[FO_PSI]);
+    F->bent[OWN_ANGLE] = F->bent[OWN_PSI] = fo_constant(1.0);
+    fo_dual *own = F->bent + OF_CAGE;
+    memset(own, 0, (OF_TIME - OF_CAGE) * sizeof *own);
+    if (!m->machine.cage) return;
+    fo_dual i_d[FO_BY], i_q[FO_BY];
+    const double over = g->rate / g->psi, decay = g->rate * m->over_L_M;
+    rotor_derivatives(p, t->from->angle, i_d, i_q);
+    i_q[FO_BY_PSI].d[0] -= g->i_q.d[0] / g->psi;
+    fo_accumulate_scaled(angle, over, &g->i_q);
+    *psi = fo_shift(-decay * g->psi + t->from->psi, fo_scale(g->rate, g->i_d));
+    for (int k = 0; k < FO_BY; k++) {
+        i_q[k] = fo_scale(over, i_q[k]);
+        i_d[k] = fo_scale(g->rate, i_d[k]);
+        fo_accumulate_scaled(angle, d[k], &i_q[k]);
+        if (k == FO_BY_PSI) i_d[k].d[0] += 1.0 - decay;
+        fo_accumulate_scaled(psi, d[k], &i_d[k]);
     }
-    fo_dual speed = fo_axpy(fo_mul(mobility, torque), h, x->x[FO_ACCELERATION]);
-    x->x[FO_ANGLE] = fo_axpy(fo_axpy(x->x[FO_ANGLE], h, x->x[FO_SPEED]), 0.5 * h, speed);
-    x->x[FO_ANGLE] = fo_add(x->x[FO_ANGLE], slip);
-    for (int k = 0; k < BY; k++) fo_accumulate(&speed, &by[k], deviations[k]);
-    x->x[FO_SPEED] = fo_add(x->x[FO_SPEED], speed);
+    i_q[FO_BY_ANGLE].d[0] += 1.0;
+    F->bent[OWN_ANGLE] = i_q[FO_BY_ANGLE];
+    F->bent[OWN_PSI] = i_d[FO_BY_PSI];
+    own[0] = i_q[FO_BY_ALPHA];
+    own[1] = i_q[FO_BY_BETA];
+    own[2] = i_q[FO_BY_PSI];
+    own[3] = i_d[FO_BY_ALPHA];
+    own[4] = i_d[FO_BY_BETA];
+    own[5] = i_d[FO_BY_ANGLE];
 }
 
-/* Predictable part of the noise after the interval. */
-static void move_noise(const fo_model *m, const measurement *H, state *x, transition *F)
+/* Elements that do not depend on the parameters of the model, but those of coloured noise. */
+static void put_values(const fo_model *m, double h, const update *z, transition *F)
 {
-    const fo_dual colour = x->measured ? m->colour : fo_constant(0.0);
-    const fo_dual memory = fo_sub(m->pole, colour);
+    for (int k = 0; k < FO_BENT; k++) F->F[k] = F->bent[k].d[0];
+    const double time[] = {h, 0.5 * h * h, 1.0, h, 1.0, 1.0, 1.0};
+    memcpy(F->F + OF_TIME, time, sizeof time);
+    memset(F->F + OF_NOISE, 0, 2 * NOISE_WIDTH * sizeof *F->F);
+    if (!m->is_coloured) return;
     for (int a = 0; a < 2; a++) {
-        fo_dual n = fo_mul(m->pole, x->x[FO_NOISE + a]);
-        fo_accumulate(&n, &m->colour, a ? &x->residual.b : &x->residual.a);
-        x->x[FO_NOISE + a] = n;
-        put(F, memory);
-        for (int b = 0; b < 2; b++) put(F, fo_scale(-1.0, fo_mul(colour, H->by_flux[a][b])));
-        put(F, fo_scale(-1.0, fo_mul(colour, H->by_angle[a])));
-        put(F, fo_scale(-1.0, fo_mul(colour, H->by_psi[a])));
+        double *own = F->F + OF_NOISE + NOISE_WIDTH * a;
+        own[0] = m->pole - (z ? m->colour : 0.0);
+        for (int k = 0; k < FO_BY; k++) own[1 + k] = z ? -m->colour * z->H[a][k].d[0] : 0.0;
     }
 }
 
-/* Derivatives by the parameters of the means: F x, and what they change themselves. */
-static void move_sensitivity(const fo_model *m, const interval *t, const electrical *e,
-                             const cage *g, const transition *F, double colour, sensitivity by)
+/* What the parameters of the means change in an interval. */
+static void move_means(const fo_model *m, const interval *t, const electrical *e, const cage *g,
+                       const update *z, double next[S][FO_SENSITIVE])
 {
     const double h = t->h, turning = h * m->mobility.d[0], *course = t->from->flux;
     const fo_prediction *p = t->at;
-    sensitivity next;
-    memset(next, 0, sizeof next);
-    for (int k = 0; k < F->count; k++) {
-        if (F->at[k].kind == ABSENT) continue;
-        const double f = F->at[k].value.d[0], *from = by[fo_pattern[k][1]];
-        double *to = next[fo_pattern[k][0]];
-        for (int j = 0; j < COLUMNS; j++) to[j] += f * from[j];
-    }
-    double r[2][COLUMNS];
-    for (int j = 0; j < COLUMNS; j++) {
+    double r[2][FO_COLUMNS];
+    for (int j = 0; j < FO_COLUMNS; j++) {
         double i[2];
         for (int a = 0; a < 2; a++) {
             i[a] = p->by[a][j];
@@ -600,99 +579,250 @@ static void move_sensitivity(const fo_model *m, const interval *t, const electri
         for (int a = 0; a < 2; a++) {
             r[a][j] = -h * (e->R.d[0] * i[a] + m->loss * (e->sign.by_current[a][A] * i[A] +
                                                           e->sign.by_current[a][B] * i[B]));
-            next[FO_NOISE + a][j] -= colour * p->measured_by[a][j];
+            if (z) next[FO_NOISE + a][MEANS + j] -= m->colour * p->measured_by[a][j];
         }
-        if (j == FO_L_iron_loss - FO_C) continue; /* its current makes no torque */
+        if (j == FO_L_iron_loss - FO_FIRST_OF_MEANS) continue; /* its current makes no torque */
         const double more = turning * (course[A] * p->by[B][j] - course[B] * p->by[A][j]);
-        next[FO_SPEED][j] += more;
-        next[FO_ANGLE][j] += 0.5 * h * more;
+        next[FO_SPEED][MEANS + j] += more;
+        next[FO_ANGLE][MEANS + j] += 0.5 * h * more;
     }
     if (m->machine.cage) {
         const double decay = g->rate * m->over_L_M * g->psi;
-        for (int j = 0; j < COLUMNS; j++) {
-            next[FO_PSI][j] += g->rate * g->by[0][j];
-            next[FO_ANGLE][j] += g->rate / g->psi * g->by[1][j];
+        for (int j = 0; j < FO_COLUMNS; j++) {
+            next[FO_PSI][MEANS + j] += g->rate * g->by[0][j];
+            next[FO_ANGLE][MEANS + j] += g->rate / g->psi * g->by[1][j];
         }
-        next[FO_PSI][FO_L_rotor_resistance - FO_C] += g->rate * g->i_d.d[0] - decay;
-        next[FO_ANGLE][FO_L_rotor_resistance - FO_C] += g->rate / g->psi * g->i_q.d[0];
-        next[FO_PSI][FO_L_magnetizing - FO_C] += decay;
+        next[FO_PSI][FO_L_rotor_resistance - FO_LEVELS] += g->rate * g->i_d.d[0] - decay;
+        next[FO_ANGLE][FO_L_rotor_resistance - FO_LEVELS] += g->rate / g->psi * g->i_q.d[0];
+        next[FO_PSI][FO_L_magnetizing - FO_LEVELS] += decay;
     }
     for (int a = 0; a < 2; a++) {
-        r[a][FO_L_heat - FO_C] -= h * t->place * m->R.d[0] * (a ? e->mean.b : e->mean.a).d[0];
-        r[a][FO_L_loss - FO_C] -= h * m->loss * e->sign.value[a];
-        r[a][FO_L_knee - FO_C] -= h * m->loss * e->sign.by_knee[a];
-        r[a][FO_L_lag - FO_C] += h * t->late[a];
-        r[a][FO_L_delay - FO_C] += h * t->late[a];
+        double *own = r[a];
+        own[FO_L_heat - FO_FIRST_OF_MEANS] -=
+            h * t->place * m->R.d[0] * (a ? e->mean.b : e->mean.a).d[0];
+        own[FO_L_loss - FO_FIRST_OF_MEANS] -= h * m->loss * e->sign.value[a];
+        own[FO_L_knee - FO_FIRST_OF_MEANS] -= h * m->loss * e->sign.by_knee[a];
+        own[FO_L_lag - FO_FIRST_OF_MEANS] += h * t->late[a];
+        own[FO_L_delay - FO_FIRST_OF_MEANS] += h * t->late[a];
     }
-    for (int a = 0; a < 2; a++)
-        for (int j = 0; j < COLUMNS; j++)
-            next[FO_FLUX + a][j] += e->M[a][A].d[0] * r[A][j] + e->M[a][B].d[0] * r[B][j];
-    memcpy(by, next, sizeof next);
+    for (int a = 0; a < 2; a++) {
+        const double x = e->M[a][A].d[0], y = e->M[a][B].d[0];
+        for (int j = 0; j < FO_COLUMNS; j++)
+            next[FO_FLUX + a][MEANS + j] += x * r[A][j] + y * r[B][j];
+    }
 }
 
-/* Time update over an interval. */
-static void advance(const fo_model *m, const interval *t, state *x, transition *F, sensitivity by)
+static void add_of_model(double row[FO_SENSITIVE], const fo_dual *from)
 {
+    for (int j = 0; j < FO_T; j++) row[MODEL + j] += from->d[1 + j];
+}
+
+/* The process noise of an interval. By a level, its own part counts twice, since it is the logarithm of
+ * a standard deviation. */
+static void add_noise(const pass *q, double h, bool measured, fo_filter *f)
+{
+    const fo_model *m = q->m;
+    const double passed = fabs(h);
+    const double calm = passed * q->course->unrest * m->acceleration;
+    f->P[FO_PSI][FO_PSI] += passed * m->machine.psi_rate * m->machine.psi_rate;
+    f->P[FO_ACCELERATION][FO_ACCELERATION] += calm;
+    for (int a = 0; a < 2; a++) {
+        f->P[FO_FLUX + a][FO_FLUX + a] += passed * m->voltage;
+        f->P[FO_DRIFT + a][FO_DRIFT + a] += passed * m->drift;
+    }
+    /* Where the current is missing, its noise is unknown. */
+    const double more = measured ? 0.0 : m->colour * m->colour * m->noise;
+    for (int r = FO_NOISE; r < S; r++) f->P[r][r] += more;
+    if (!q->variances) return;
+    q->variances[FO_L_acceleration].P[FO_ACCELERATION][FO_ACCELERATION] += 2.0 * calm;
+    for (int a = 0; a < 2; a++) {
+        q->variances[FO_L_voltage].P[FO_FLUX + a][FO_FLUX + a] += 2.0 * passed * m->voltage;
+        q->variances[FO_L_drift].P[FO_DRIFT + a][FO_DRIFT + a] += 2.0 * passed * m->drift;
+        q->variances[FO_L_noise].P[FO_NOISE + a][FO_NOISE + a] += 2.0 * more;
+        if (!measured)
+            q->variances[FO_L_colour_gain].P[FO_NOISE + a][FO_NOISE + a] +=
+                2.0 * m->colour * m->noise;
+    }
+}
+
+/* Time update of the derivatives by levels and colour. The colour also changes the transition of the
+ * noise, z⁺ = ρ z + γ w. */
+static void move_variances(const pass *q, const update *z, const double residual[2],
+                           const double F[FO_ELEMENTS], fo_filter *f)
+{
+    double slope[2][2][S] = {{{0.0}}}, moved[2][2][S] = {{{0.0}}}; /* rows of ∂F; ∂F P Fᵀ */
+    for (int a = 0; a < 2; a++) {
+        slope[0][a][FO_NOISE + a] = 1.0;
+        if (!z) continue;
+        slope[1][a][FO_NOISE + a] = -1.0;
+        for (int k = 0; k < FO_BY; k++) slope[1][a][fo_measured_states[k]] = -z->H[a][k].d[0];
+    }
+    for (int n = 0; n < 2; n++)
+        for (int a = 0; a < 2; a++) {
+            double P[S] = {0.0};
+            for (int r = 0; r < S; r++)
+                for (int c = 0; c < S; c++) P[c] += slope[n][a][r] * f->P[r][c];
+            for (int e = 0; e < q->elements.count; e++) {
+                const int k = q->elements.at[e];
+                moved[n][a][fo_pattern[k][0]] += F[k] * P[fo_pattern[k][1]];
+            }
+        }
+    for (int l = 0; l < FO_VARIANCES; l++) {
+        by_variance *own = q->variances + l;
+        double next[S] = {0.0};
+        for (int n = 0; n < q->elements.count; n++) {
+            const int k = q->elements.at[n];
+            next[fo_pattern[k][0]] += F[k] * own->x[fo_pattern[k][1]];
+        }
+        memcpy(own->x, next, sizeof next);
+        move_covariance(&q->elements, F, own->P);
+        const int n = l - FO_LEVELS;
+        for (int a = 0; n >= 0 && a < 2; a++) {
+            own->x[FO_NOISE + a] += n ? residual[a] : f->x[FO_NOISE + a];
+            for (int r = 0; r < S; r++) {
+                own->P[FO_NOISE + a][r] += moved[n][a][r];
+                own->P[r][FO_NOISE + a] += moved[n][a][r];
+            }
+        }
+    }
+}
+
+/* Time update over an interval; `z`: the measurement before it, or null. `residual`: what it left. */
+static void advance(const pass *q, const interval *t, const update *z, const double residual[2],
+                    fo_filter *f, transition *F)
+{
+    const fo_model *m = q->m;
     const electrical e = electrical_of(m, t);
-    const fo_dual flux[2] = {fo_shift(-t->from->flux[A], x->x[FO_FLUX]),
-                             fo_shift(-t->from->flux[B], x->x[FO_FLUX + 1])};
-    const fo_dual angle = fo_shift(-t->from->angle, x->x[FO_ANGLE]);
-    const fo_dual psi = fo_shift(-t->from->psi, x->x[FO_PSI]);
+    double d[FO_BY];
+    fo_dual flux[2], angle, speed, psi;
     cage g;
+    deviation(t->from, f->x, d);
     if (m->machine.cage) g = cage_of(m, t);
-    F->count = 0;
-    move_flux(m, t, &e, flux, &g, angle, psi, x, F);
-    move_rotor(m, t, &g, flux, angle, psi, x, F);
-    for (int k = FO_ACCELERATION; k < FO_NOISE; k++) put_constant(F, 1.0);
-    const double colour = x->measured ? m->colour.d[0] : 0.0;
-    if (x->states > FO_WHITE) move_noise(m, t->sensed, x, F);
-    move_sensitivity(m, t, &e, &g, F, colour, by);
-    move_covariance(F, x);
-    const double passed = fabs(t->h);
+    move_flux(m, t, &e, &g, d, f->x, flux, F);
+    move_rotor(m, t, &g, d, f->x, &angle, &speed, &psi, F);
+    put_values(m, t->h, z, F);
+    if (q->sensitive) {
+        double next[S][FO_SENSITIVE] = {{0.0}};
+        for (int n = 0; n < q->elements.count; n++) {
+            const int k = q->elements.at[n];
+            const double value = F->F[k], *from = f->by[fo_pattern[k][1]];
+            double *to = next[fo_pattern[k][0]];
+            for (int j = 0; j < FO_SENSITIVE; j++) to[j] += value * from[j];
+        }
+        move_means(m, t, &e, &g, z, next);
+        add_of_model(next[FO_FLUX], &flux[A]);
+        add_of_model(next[FO_FLUX + 1], &flux[B]);
+        add_of_model(next[FO_ANGLE], &angle);
+        add_of_model(next[FO_SPEED], &speed);
+        add_of_model(next[FO_PSI], &psi);
+        for (int a = 0; a < 2 && m->is_coloured; a++) {
+            double *own = next[FO_NOISE + a];
+            own[POLE] += f->x[FO_NOISE + a];
+            if (!z) continue;
+            own[GAIN] += residual[a];
+            fo_dual i = a ? t->at->measured.b : t->at->measured.a;
+            for (int k = 0; k < FO_BY; k++) fo_accumulate_scaled(&i, d[k], &z->H[a][k]);
+            i = fo_scale(-m->colour, i);
+            add_of_model(own, &i);
+        }
+        memcpy(f->by, next, sizeof next);
+    }
+    if (q->variances) move_variances(q, z, residual, F->F, f);
+    move_covariance(&q->elements, F->F, f->P);
     for (int a = 0; a < 2; a++) {
-        fo_accumulate_scaled(&x->P[FO_FLUX + a][FO_FLUX + a], passed, &m->voltage);
-        fo_accumulate_scaled(&x->P[FO_DRIFT + a][FO_DRIFT + a], passed, &m->drift);
+        f->x[FO_FLUX + a] = flux[a].d[0];
+        f->x[FO_NOISE + a] = m->pole * f->x[FO_NOISE + a] + (z ? m->colour * residual[a] : 0.0);
     }
-    x->P[FO_PSI][FO_PSI].d[0] += passed * m->machine.psi_rate * m->machine.psi_rate;
-    fo_accumulate_scaled(&x->P[FO_ACCELERATION][FO_ACCELERATION], passed * t->from->unrest,
-                         &m->acceleration);
-    if (!x->measured && x->states > FO_WHITE) { /* w of this row is unknown */
-        const fo_dual more = fo_mul(fo_mul(m->colour, m->colour), m->noise);
-        for (int a = FO_NOISE; a < FO_STATES; a++) x->P[a][a] = fo_add(x->P[a][a], more);
-    }
-    x->measured = false;
-    x->residual = fo_constant_pair(0.0, 0.0);
+    f->x[FO_ANGLE] = angle.d[0];
+    f->x[FO_SPEED] = speed.d[0];
+    f->x[FO_PSI] = psi.d[0];
+    add_noise(q, t->h, z, f);
 }
 
-/* Keeps a row after its measurement update. */
-static void keep_row(const state *x, const measurement *H, const update *z, sensitivity by_means,
-                     double error_by[2][FO_UNKNOWNS], fo_row *row)
+/* Keeps a row after its measurement update, without its transition. */
+static void keep_row(const fo_filter *f, const update *z, double error_by[2][FO_SENSITIVE],
+                     bool sensitive, fo_row *row)
 {
-    static const int own_by[2] = {FO_ANGLE, FO_SPEED};
-    memset(row, 0, sizeof *row);
-    for (int r = 0; r < FO_OWN; r++) {
-        row->own[r] = x->x[r].d[0];
-        for (int c = 0; c < x->states; c++) row->P[r][c] = x->P[r][c].d[0];
+    memcpy(row->own, f->x, sizeof row->own);
+    memcpy(row->P, f->P, sizeof row->P);
+    row->measured = z;
+    if (sensitive) {
+        memcpy(row->own_by[0], f->by[FO_ANGLE], sizeof row->own_by[0]);
+        memcpy(row->own_by[1], f->by[FO_SPEED], sizeof row->own_by[1]);
+        memcpy(row->error_by, error_by, sizeof row->error_by);
     }
-    for (int n = 0; n < 2; n++) {
-        const int own = own_by[n];
-        for (int k = 0; k < FO_C; k++) row->own_by[n][k] = x->x[own].d[k + 1];
-        for (int k = 0; k < COLUMNS; k++) row->own_by[n][FO_C + k] = by_means[own][k];
+    if (!z) return;
+    memcpy(row->error, z->e, sizeof row->error);
+    memcpy(row->V, z->V, sizeof row->V);
+    memcpy(row->R, z->R, sizeof row->R);
+    memcpy(row->K, z->K, sizeof row->K);
+    for (int a = 0; a < 2; a++)
+        for (int k = 0; k < FO_BY; k++) {
+            row->H[a][k] = z->H[a][k].d[0];
+            memcpy(row->H_by[a][k], z->H[a][k].d + 1, sizeof row->H_by[a][k]);
+        }
+}
+
+static void keep_transition(const transition *F, fo_row *row)
+{
+    memcpy(row->F, F->F, sizeof row->F);
+    for (int k = 0; k < FO_BENT; k++) memcpy(row->F_by[k], F->bent[k].d + 1, sizeof row->F_by[k]);
+}
+
+static fo_prediction prediction_at(const pass *q, const fo_filter *f)
+{
+    fo_prediction p;
+    fo_predict(q->m, q->course, f->turning, f->rotor, &p);
+    return p;
+}
+
+/* A row and, unless it is the last, the interval to the next. `at` and `next`: predictions of both.
+ * False: a number is not finite, or a covariance is not positive. */
+static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next, fo_filter *f,
+                     fo_row *row)
+{
+    const fo_log *log = q->log;
+    const size_t k = f->row;
+    const double h = log->sample_time;
+    const double *i = log->current + 2 * k, *u = log->voltage + 2 * k;
+    const bool known = isfinite(u[0]) && isfinite(u[1]);
+    const bool seen = isfinite(i[0]) && isfinite(i[1]);
+    double before[2], residual[2] = {0.0, 0.0}, error_by[2][FO_SENSITIVE] = {{0.0}};
+    memcpy(before, f->voltage, sizeof before);
+    if (known) memcpy(f->voltage, u, sizeof f->voltage);
+    if (k == 0) memcpy(before, f->voltage, sizeof before);
+    const bool counted = q->out && k >= q->skipped;
+    update z;
+    if (seen) {
+        measured_slope(at, z.H);
+        if (!measure(q, i, at, f, counted, &z)) return false;
+        if (q->sensitive) measure_sensitivity(at, &z, f, error_by);
+        if (counted) count(&z, error_by, q->out);
+        for (int a = 0; a < 2; a++) residual[a] = z.R[a][0] * z.w[0] + z.R[a][1] * z.w[1];
     }
-    row->measured = x->measured;
-    if (!x->measured) return;
-    memcpy(row->error_by, error_by, sizeof row->error_by);
-    for (int a = 0; a < 2; a++) {
-        row->error[a] = z->e[a].d[0];
-        row->by_angle[a] = H->by_angle[a].d[0];
-        row->by_psi[a] = H->by_psi[a].d[0];
-        for (int b = 0; b < 2; b++) row->by_flux[2 * a + b] = H->by_flux[a][b].d[0];
-        for (int r = 0; r < x->states; r++) row->K[r][a] = z->K[r][a].d[0];
+    if (!isfinite(f->x[FO_ANGLE])) return false;
+    if (row) keep_row(f, seen ? &z : NULL, error_by, q->sensitive, row);
+    f->row++;
+    if (f->row == log->rows) return true;
+    f->turning = (q->course[1].angle - q->course[0].angle) / h;
+    memcpy(f->rotor, at->rotor, sizeof f->rotor);
+    fo_predict(q->m, q->course + 1, f->turning, f->rotor, next);
+    /* A late voltage mixes with that of the row before, an early one with the next. */
+    const double *held = f->voltage, *v = u + 2;
+    const double *after = isfinite(v[0]) && isfinite(v[1]) ? v : held;
+    const bool early = q->m->lag < 0.0;
+    const interval t = {h, {held[0], held[1]},
+                        {early ? held[0] - after[0] : before[0] - held[0],
+                         early ? held[1] - after[1] : before[1] - held[1]},
+                        (double)k / (double)log->rows, q->course, q->course + 1, at, next};
+    transition F;
+    advance(q, &t, seen ? &z : NULL, residual, f, &F);
+    if (!known) { /* held, and as uncertain as it is large */
+        const double more = 0.5 * h * h * (held[0] * held[0] + held[1] * held[1]);
+        for (int a = 0; a < 2; a++) f->P[a][a] += more;
     }
-    const int at[3][2] = {{0, 0}, {0, 1}, {1, 1}};
-    for (int n = 0; n < 3; n++) {
-        row->inverse[n] = z->V[at[n][0]][at[n][1]].d[0];
-    }
+    if (row) keep_transition(&F, row);
+    return true;
 }
 
 static void complete(fo_likelihood *out)
@@ -703,57 +833,48 @@ static void complete(fo_likelihood *out)
             out->information[c * FO_UNKNOWNS + r] = out->information[r * FO_UNKNOWNS + c];
 }
 
-bool fo_innovations(const fo_log *log, const fo_machine *machine, const fo_course *course,
-                    const double parameters[FO_UNKNOWNS], const fo_start *start,
-                    fo_likelihood *out, fo_row *kept)
+size_t fo_checkpoints(size_t rows)
 {
-    const fo_model m = fo_model_of(machine, parameters);
-    const double h = log->sample_time;
-    state x;
-    update z;
-    transition F;
-    sensitivity by_means;
-    fo_prediction at, next;
-    const double none[2] = {0.0, 0.0};
-    double error_by[2][FO_UNKNOWNS], held[2] = {0.0, 0.0}, before[2];
+    return (rows + FO_CHUNK - 1) / FO_CHUNK;
+}
+
+bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], bool variances,
+                    fo_likelihood *out, fo_filter *checkpoints)
+{
+    const fo_model m = fo_model_of(problem->machine, parameters);
+    by_variance by[FO_VARIANCES];
+    pass q = {problem->log, problem->course, &m, fo_elements_of(&m), true, NULL,
+              problem->start->skipped, out};
+    fo_filter f;
+    start_at(problem, &m, &f);
     memset(out, 0, sizeof *out);
-    const double speed = log->rows > 1 ? (course[1].angle - course[0].angle) / h : 0.0;
-    start_at(&m, course, start, speed, &x, by_means);
-    fo_predict(&m, course, speed, none, &at);
-    for (size_t k = 0; k < log->rows; k++) {
-        const double *i = log->current + 2 * k, *u = log->voltage + 2 * k;
-        const bool known = isfinite(u[0]) && isfinite(u[1]);
-        const measurement H = measurement_of(&at);
-        memcpy(before, held, sizeof before);
-        if (known) memcpy(held, u, sizeof held);
-        if (k == 0) memcpy(before, held, sizeof before);
-        if (isfinite(i[0]) && isfinite(i[1])) {
-            if (!measure(&m, i, course + k, &at, &H, &x, &z)) return false;
-            error_derivatives(&at, &H, &z, x.states, by_means, error_by);
-            if (k >= start->skipped) count(&z, error_by, out);
+    if (variances) {
+        memset(by, 0, sizeof by);
+        for (int r = FO_NOISE; r < S; r++) {
+            by[FO_L_noise].P[r][r] = 2.0 * f.P[r][r];
+            by[FO_L_colour_gain].P[r][r] = 2.0 * m.colour * m.noise;
         }
-        if (!isfinite(x.x[FO_ANGLE].d[0])) return false;
-        if (kept) keep_row(&x, &H, &z, by_means, error_by, kept + k);
-        if (k + 1 == log->rows) break;
-        const double turning = (course[k + 1].angle - course[k].angle) / h;
-        fo_predict(&m, course + k + 1, turning, at.rotor, &next);
-        /* A late voltage mixes with that of the row before, an early one with the next. */
-        const double *v = u + 2;
-        const double *after = isfinite(v[0]) && isfinite(v[1]) ? v : held;
-        const double late[2] = {m.lag < 0.0 ? held[0] - after[0] : before[0] - held[0],
-                                m.lag < 0.0 ? held[1] - after[1] : before[1] - held[1]};
-        const interval t = {h, {held[0], held[1]}, {late[0], late[1]},
-                            (double)k / (double)log->rows,
-                            course + k, course + k + 1, &at, &next, &H};
-        advance(&m, &t, &x, &F, by_means);
-        if (!known) { /* held, and as uncertain as it is large */
-            const double more = 0.5 * h * h * (held[0] * held[0] + held[1] * held[1]);
-            for (int a = 0; a < 2; a++) x.P[a][a].d[0] += more;
-        }
-        if (kept)
-            for (int n = 0; n < F.count; n++) kept[k].F[n] = F.at[n].value.d[0];
-        at = next;
+        q.variances = by;
+    }
+    fo_prediction predictions[2];
+    predictions[0] = prediction_at(&q, &f);
+    for (size_t k = 0; k < problem->log->rows; k++, q.course++) {
+        if (k % FO_CHUNK == 0) checkpoints[k / FO_CHUNK] = f;
+        if (!pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, NULL)) return false;
     }
     complete(out);
     return true;
+}
+
+void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
+              const fo_filter *from, const fo_course *course, size_t count, bool sensitive,
+              fo_row *rows)
+{
+    const fo_model m = fo_model_of(problem->machine, parameters);
+    pass q = {problem->log, course, &m, fo_elements_of(&m), sensitive, NULL, 0, NULL};
+    fo_filter f = *from;
+    fo_prediction predictions[2];
+    predictions[0] = prediction_at(&q, &f);
+    for (size_t k = 0; k < count; k++, q.course++)
+        pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, rows + k);
 }

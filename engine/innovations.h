@@ -19,8 +19,7 @@
 extern "C" {
 #endif
 
-/* States; vectors in stator coordinates. The noise is the predictable part of coloured noise; it is
- * the last, so that white noise needs FO_WHITE states only. */
+/* States; vectors in stator coordinates. The noise is the predictable part of coloured noise. */
 enum {
     FO_FLUX,
     FO_ANGLE = 2,
@@ -29,13 +28,17 @@ enum {
     FO_ACCELERATION,
     FO_DRIFT,
     FO_NOISE = 8,
-    FO_WHITE = FO_NOISE,
     FO_STATES = 10
 };
 /* Those of the course and of the result: flux, angle, speed, ψ. */
 enum { FO_OWN = 5 };
-/* Elements of the transition that may not be zero; see innovations.c. */
-enum { FO_ELEMENTS = 43 };
+/* Elements of the transition that may not be zero, and how many of them, the first, depend on the
+ * parameters of the model; see innovations.c. */
+enum { FO_ELEMENTS = 43, FO_BENT = 26 };
+/* Derivatives of the states by all parameters but the levels, with the gain held. */
+enum { FO_SENSITIVE = FO_UNKNOWNS - FO_LEVELS };
+/* Rows from one checkpoint to the next. */
+enum { FO_CHUNK = 64 };
 
 /* A log. */
 typedef struct {
@@ -57,6 +60,13 @@ typedef struct {
 } fo_start;
 
 typedef struct {
+    const fo_log *log;
+    const fo_machine *machine;
+    const fo_start *start;
+    fo_course *course; /* an element for each row */
+} fo_problem;
+
+typedef struct {
     double objective;          /* ½ Σ eᵀS⁻¹e + ln det S, without constant */
     double score[FO_UNKNOWNS]; /* its derivative */
     double information[FO_UNKNOWNS * FO_UNKNOWNS]; /* expected second derivative (Fisher) */
@@ -64,28 +74,59 @@ typedef struct {
     size_t counted;     /* rows */
 } fo_likelihood;
 
-/* What the filter knows at a row, for smoothing backwards. */
+/* The filter before the measurement of a row. */
 typedef struct {
-    double own[FO_OWN];              /* after the measurement */
-    double P[FO_OWN][FO_STATES];     /* their covariances */
-    double error[2], inverse[3];     /* innovation, inverse of its covariance: 00, 01, 11 */
-    double K[FO_STATES][2];          /* Kalman gain */
-    double by_flux[4];               /* derivatives of the current: αα, αβ, βα, ββ */
-    double by_angle[2], by_psi[2];
-    double F[FO_ELEMENTS];           /* transition to the next row */
-    double error_by[2][FO_UNKNOWNS]; /* derivatives of the innovation by the parameters */
-    double own_by[2][FO_UNKNOWNS];   /* derivatives of angle and speed */
+    double x[FO_STATES], P[FO_STATES][FO_STATES];
+    double by[FO_STATES][FO_SENSITIVE];
+    double voltage[2]; /* last known */
+    double turning;    /* of the course in the last interval [rad/s] */
+    double rotor[2];   /* current of the row before; rotor coordinates */
+    size_t row;
+} fo_filter;
+
+/* What the filter knows at a row, for the way back. */
+typedef struct {
+    double own[FO_OWN];                 /* after the measurement */
+    double P[FO_STATES][FO_STATES];     /* its covariance */
+    double error[2], V[2][2];           /* innovation, inverse of its covariance */
+    double R[2][2];                     /* covariance of the noise */
+    double K[FO_STATES][2];             /* Kalman gain */
+    double H[2][FO_BY];                 /* derivatives of the current */
+    double H_by[2][FO_BY][FO_T];        /* and theirs by the parameters of the model */
+    double F[FO_ELEMENTS];              /* transition to the next row */
+    double F_by[FO_BENT][FO_T];
+    double error_by[2][FO_SENSITIVE];   /* derivatives of the innovation, gain held */
+    double own_by[2][FO_SENSITIVE];     /* of angle and speed */
     bool measured;
 } fo_row;
 
+/* States by which the current is differentiated. */
+extern const unsigned char fo_measured_states[FO_BY];
 /* Rows and columns of the elements of the transition. */
 extern const unsigned char fo_pattern[FO_ELEMENTS][2];
 
-/* `parameters`: FO_L, then two coefficients of each harmonic [Wb]. `kept`: an element for each row, or
- * null. False: a number is not finite, or a covariance is not positive. */
-bool fo_innovations(const fo_log *log, const fo_machine *machine, const fo_course *course,
-                    const double parameters[FO_UNKNOWNS], const fo_start *start,
-                    fo_likelihood *out, fo_row *kept);
+/* Elements that a machine has. */
+typedef struct {
+    unsigned char at[FO_ELEMENTS];
+    int count;
+} fo_elements;
+fo_elements fo_elements_of(const fo_model *m);
+
+/* Checkpoints of a log: one for each chunk of its rows. */
+size_t fo_checkpoints(size_t rows);
+
+/* Objective and information at the parameters: FO_L, then two coefficients of each harmonic [Wb]. The
+ * score is complete for the parameters of the means only; fo_backward completes it. The information of
+ * levels and colour costs as much as the rest: `variances` false leaves it out. False: a number is not finite, or
+ * a covariance is not positive. */
+bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], bool variances,
+                    fo_likelihood *out, fo_filter *checkpoints);
+
+/* `count` rows from a checkpoint on again. `course`: of these rows and the next. The derivatives of angle
+ * and innovation are kept if they are wanted (`sensitive`). */
+void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
+              const fo_filter *from, const fo_course *course, size_t count, bool sensitive,
+              fo_row *rows);
 
 #ifdef __cplusplus
 }

@@ -1,20 +1,28 @@
-/* Unknowns of the likelihood of a log: parameters of the machine, and levels of its errors. */
+/* Unknowns of the likelihood of a log: levels of its errors, and parameters of the machine. */
 #ifndef FLUXOBS_PARAMETERS_H
 #define FLUXOBS_PARAMETERS_H
 
-/* The covariances of the filter depend on these. */
-#define FO_OF_COVARIANCE(NAME)                                                                   \
+/* Levels change covariances only. */
+#define FO_OF_LEVELS(NAME)                                                                       \
+    NAME(noise)        /* ln of the std of a component of the current's noise             [A]  */ \
+    NAME(acceleration) /* ln of the std by which the acceleration changes         [rad/s²/√s] */ \
+    NAME(voltage)      /* ln of the std of the voltage's error, white                [V √s]    */ \
+    NAME(drift)        /* ln of the std by which the drift changes in a second       [V/√s]    */
+
+/* Colour of the current's noise, n = z + w, z⁺ = ρ z + g w. */
+#define FO_OF_COLOUR(NAME)                                                                       \
+    NAME(colour_pole)  /* ρ                                                               [1]  */ \
+    NAME(colour_gain)  /* g; 0: white                                                     [1]  */
+
+/* The linearised model depends on these, so means and covariances do. */
+#define FO_OF_MODEL(NAME)                                                                        \
     NAME(resistance)   /* ln R                                                            [Ω]  */ \
     NAME(L_d)          /* ln L_d; of a flux map: ln of its scale                  [H] or [1]  */ \
     NAME(L_q)          /* ln L_q                                                               */ \
     NAME(psi_f)        /* ln ψ                                                            [Wb] */ \
-    NAME(mobility)     /* acceleration of the angle over flux × current, 3/2 n_p²/J [1/(kg m²)] */ \
-    NAME(noise)        /* ln of the std of a component of the current's noise             [A]  */ \
-    NAME(acceleration) /* ln of the std by which the acceleration changes         [rad/s²/√s] */ \
-    NAME(voltage)      /* ln of the std of the voltage's error, white                [V √s]    */ \
-    NAME(drift)        /* ln of the std by which the drift changes in a second       [V/√s]    */ \
-    NAME(colour_pole)  /* ρ of the current's noise, n = z + w, z⁺ = ρ z + g w             [1]  */ \
-    NAME(colour_gain)  /* g; 0: white                                                     [1]  */
+    NAME(saturation_d) /* s: the current leaves 1 / (1 + s |i|/rated) of its flux        [1] */ \
+    NAME(saturation_q)                                                                         \
+    NAME(mobility)     /* acceleration of the angle over flux × current, 3/2 n_p²/J [1/(kg m²)] */
 
 /* These change the means only. */
 #define FO_OF_MEANS(NAME)                                                                        \
@@ -24,8 +32,6 @@
     NAME(delay)        /* the currents are older than the log says                   [samples] */ \
     NAME(iron_loss)    /* current per induced voltage                                   [A/V] */ \
     NAME(heat)         /* relative change of R from the first to the last row             [1] */ \
-    NAME(saturation_d) /* s: the current leaves 1 / (1 + s |i|/rated) of its flux        [1] */ \
-    NAME(saturation_q)                                                                         \
     NAME(rotor_resistance) /* cage: ln R_R                                               [Ω] */ \
     NAME(magnetizing)  /* cage: ln L_M                                                   [H] */ \
     NAME(offset_alpha) /* of the measured current                                         [A] */ \
@@ -40,13 +46,23 @@
 #define FO_HARMONICS(ORDER) ORDER(-2) ORDER(2) ORDER(-4) ORDER(4) ORDER(-6) ORDER(6)
 
 #define FO_PARAMETER_INDEX(name) FO_L_##name,
-enum { FO_OF_COVARIANCE(FO_PARAMETER_INDEX) FO_C };
-enum { FO_BEFORE_MEANS = FO_C - 1, FO_OF_MEANS(FO_PARAMETER_INDEX) FO_L };
+enum {
+    FO_OF_LEVELS(FO_PARAMETER_INDEX) FO_OF_COLOUR(FO_PARAMETER_INDEX)
+    FO_OF_MODEL(FO_PARAMETER_INDEX) FO_OF_MEANS(FO_PARAMETER_INDEX) FO_L
+};
 #undef FO_PARAMETER_INDEX
 
 #define FO_COUNT(order) +1
 /* After the parameters: two coefficients of each harmonic [Wb]. */
 enum { FO_ORDERS = 0 FO_HARMONICS(FO_COUNT), FO_UNKNOWNS = FO_L + 2 * FO_ORDERS };
+/* How many there are of a kind, and the first of each. FO_VARIANCES: levels and colour, which make the
+ * covariance of the currents. */
+enum {
+    FO_LEVELS = 0 FO_OF_LEVELS(FO_COUNT),
+    FO_VARIANCES = FO_LEVELS FO_OF_COLOUR(FO_COUNT),
+    FO_T = 0 FO_OF_MODEL(FO_COUNT)
+};
+enum { FO_FIRST_OF_MODEL = FO_L_resistance, FO_FIRST_OF_MEANS = FO_L_loss };
 #undef FO_COUNT
 
 #endif

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { MOST = FO_UNKNOWNS, MACHINE = FO_L_psi_f + 1 };
+enum { MOST = FO_UNKNOWNS };
 
 /* Assumed: one machine file in twenty describes another machine, and its errors are five times as
  * large. */
@@ -38,13 +38,18 @@ static void add_heavy(double difference, double std, int k, penalty *out)
     out->curvature[k] = stiffness;
 }
 
+static bool is_of_file(int k)
+{
+    return k == FO_L_resistance || k == FO_L_L_d || k == FO_L_L_q || k == FO_L_psi_f;
+}
+
 static penalty penalty_at(const fo_prior *prior, const double *p, double harmonics)
 {
     penalty out = {0.0, {0.0}, {0.0}};
     for (int k = 0; k < FO_L; k++) {
         const double std = prior->std[k], difference = p[k] - prior->mean[k];
         if (!(std > 0.0) || (prior->round && k == FO_L_L_q)) continue;
-        if (k < MACHINE) {
+        if (is_of_file(k)) {
             add_heavy(difference, std, k, &out);
             continue;
         }
@@ -144,7 +149,7 @@ static void solve(int n, double R[MOST][MOST], const double scale[MOST], const d
 /* Longest step of a parameter: where the filter's linearisation still holds. */
 static double longest(const fo_prior *prior, int k)
 {
-    if (k < MACHINE) return 0.2; /* logarithms: 20 % */
+    if (is_of_file(k)) return 0.2; /* logarithms: 20 % */
     switch (k) {
     case FO_L_iron_loss:
     case FO_L_heat:
@@ -280,7 +285,7 @@ static double doubt_penalty(const fo_course *course, size_t rows)
 
 static bool is_level(int k)
 {
-    return k == FO_L_noise || k == FO_L_acceleration || k == FO_L_voltage || k == FO_L_drift;
+    return k < FO_LEVELS;
 }
 
 /* Last step of a parameter whose information is far from its curvature where the log hardly determines
@@ -331,21 +336,53 @@ static double course_penalty(const fo_course *course, size_t rows)
     return unrest_penalty(course, rows) + doubt_penalty(course, rows);
 }
 
-bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *start,
-              const fo_prior *prior, const fo_stage *stage, fo_course *course, fo_row *rows,
-              fo_squares *squares, fo_posterior *out)
+/* Information of levels and colour, and where it was evaluated: it changes slowly, and costs as much as the
+ * rest. */
+typedef struct {
+    double at[FO_VARIANCES], information[FO_VARIANCES][FO_VARIANCES];
+    bool known;
+} variance_information;
+
+/* A level, ln, or the colour may move so far until its information is evaluated again. */
+static const double stale = 0.5;
+
+/* The likelihood without its score. */
+static bool evaluate(const fo_work *w, const double *parameters, variance_information *variances,
+                     fo_posterior *out, fo_likelihood *at)
+{
+    bool again = !variances->known;
+    for (int k = 0; k < FO_VARIANCES; k++) again = again || fabs(parameters[k] - variances->at[k]) > stale;
+    out->evaluations++;
+    if (!fo_innovations(&w->problem, parameters, again, at, w->checkpoints)) return false;
+    if (again) {
+        memcpy(variances->at, parameters, sizeof variances->at);
+        variances->known = true;
+    }
+    for (int r = 0; r < FO_VARIANCES; r++)
+        for (int c = 0; c < FO_VARIANCES; c++) {
+            double *own = at->information + r * FO_UNKNOWNS + c;
+            if (again)
+                variances->information[r][c] = *own;
+            else
+                *own = variances->information[r][c];
+        }
+    return isfinite(at->objective);
+}
+
+bool fo_learn(const fo_work *w, const fo_prior *prior, const fo_stage *stage, fo_posterior *out)
 {
     const selection s = selected(prior, stage->free);
+    const fo_log *log = w->problem.log;
+    fo_course *course = w->problem.course;
     fo_likelihood at;
+    variance_information variances = {.known = false};
     double g[MOST], H[MOST][MOST], tried[FO_UNKNOWNS], damping = 1e-3, expected = HUGE_VAL;
     swing swings[MOST] = {{0.0, 0.0}};
     bool based = false; /* out holds accepted parameters, g and H their derivatives */
     memcpy(tried, out->parameters, sizeof tried);
     out->converged = false;
     for (size_t n = 0; n < stage->most; n++) {
-        out->evaluations++;
-        const bool good = fo_innovations(log, machine, course, tried, start, &at, rows) &&
-                          isfinite(at.objective);
+        const bool good = evaluate(w, tried, &variances, out, &at);
         if (!good && !based) return false;
         penalty own = penalty_at(prior, tried, out->harmonics);
         double objective = at.objective + own.value + course_penalty(course, log->rows);
@@ -363,6 +400,13 @@ bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *star
         based = true;
         memcpy(out->parameters, tried, sizeof tried);
         out->mean_square = at.mean_square;
+        /* The unrest creeps on when the parameters hardly move any more. */
+        out->converged = expected < stage->gain &&
+                         (stage->jumps ? n >= SETTLING : fabs(gained) < 10.0 * stage->gain);
+        const fo_outputs wanted = {.course = stage->smoothing ? course : NULL,
+                                   .squares = w->squares};
+        if (!out->converged)
+            fo_backward(&w->problem, tried, w->checkpoints, w->rows, &wanted, at.score);
         reduced(&s, &at, &own, g, H);
         if (!invert(&s, H, out->covariance)) return false;
         /* The level moves once the first steps have removed what is not harmonic. */
@@ -373,23 +417,14 @@ bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *star
             reduced(&s, &at, &own, g, H);
         }
         out->objective = objective;
-        /* The unrest creeps on when the parameters hardly move any more. */
-        if (expected < stage->gain &&
-            (stage->jumps ? n >= SETTLING : fabs(gained) < 10.0 * stage->gain)) {
-            out->converged = true;
-            break;
-        }
-        const double *p = out->parameters;
-        fo_smooth_squares(rows, log->rows,
-                          exp(2.0 * p[FO_L_acceleration]) * fabs(log->sample_time),
-                          exp(2.0 * p[FO_L_noise]), course, squares);
-        learn_doubt(squares, log->rows, course);
+        if (out->converged) break;
+        learn_doubt(w->squares, log->rows, course);
         if (stage->jumps)
-            learn_unrest(log, squares, course, &out->parameters[FO_L_acceleration]);
-        if (stage->smoothing) fo_smooth_course(rows, log->rows, course);
+            learn_unrest(log, w->squares, course, &out->parameters[FO_L_acceleration]);
         if (stage->smoothing && !stage->jumps) { /* far from the end, a step needs its own base */
-            out->evaluations++;
-            if (!fo_innovations(log, machine, course, out->parameters, start, &at, rows)) return false;
+            const fo_outputs none = {0};
+            if (!evaluate(w, out->parameters, &variances, out, &at)) return false;
+            fo_backward(&w->problem, out->parameters, w->checkpoints, w->rows, &none, at.score);
             out->objective = at.objective + own.value + course_penalty(course, log->rows);
             reduced(&s, &at, &own, g, H);
         }

@@ -2,7 +2,7 @@
 #ifndef FLUXOBS_POSTERIOR_H
 #define FLUXOBS_POSTERIOR_H
 
-#include "smoothed.h"
+#include "backward.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -26,20 +26,26 @@ typedef struct {
     bool converged;     /* false: the bound on evaluations ended it */
 } fo_posterior;
 
+/* A log, and what learning works on: `checkpoints` of its chunks, `rows` of a chunk, and `squares` of
+ * each row. */
+typedef struct {
+    fo_problem problem;
+    fo_filter *checkpoints;
+    fo_row *rows;
+    fo_squares *squares;
+} fo_work;
+
 /* Learns from `out->parameters`, `out->harmonics` and the course: Levenberg–Marquardt on the parameters
  * that are `free` (FO_L flags; null: all with a std), at most `most` evaluations, until a step is
  * expected to gain less than `gain`. With `smoothing`, each evaluation gives the next course; with
- * `jumps`, it also gives the unrest of the acceleration. `rows` and `squares`: working space, an
- * element for each row. False: the likelihood cannot be evaluated. */
+ * `jumps`, it also gives the unrest of the acceleration. False: the likelihood cannot be evaluated. */
 typedef struct {
     const bool *free;
     double gain;
     size_t most;
     bool smoothing, jumps;
 } fo_stage;
-bool fo_learn(const fo_log *log, const fo_machine *machine, const fo_start *start,
-              const fo_prior *prior, const fo_stage *stage, fo_course *course, fo_row *rows,
-              fo_squares *squares, fo_posterior *out);
+bool fo_learn(const fo_work *work, const fo_prior *prior, const fo_stage *stage, fo_posterior *out);
 
 /* Covariance at the likelihood. False: the curvature is not positive. */
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out);

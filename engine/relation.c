@@ -16,9 +16,9 @@ static const double phase_axes[3][2] = {
 static const int orders[FO_ORDERS] = {FO_HARMONICS(FO_LIST)};
 #undef FO_LIST
 
-static fo_dual variance(double logarithm, int index)
+static double variance(double logarithm)
 {
-    return fo_exp_of(fo_scale(2.0, fo_unknown(logarithm, index)));
+    return exp(2.0 * logarithm);
 }
 
 static fo_dual positive(const double *p, int index)
@@ -35,12 +35,12 @@ fo_model fo_model_of(const fo_machine *machine, const double p[FO_UNKNOWNS])
     m.scale[Q] = positive(p, FO_L_L_q);
     m.psi = positive(p, FO_L_psi_f);
     m.mobility = fo_unknown(p[FO_L_mobility], FO_L_mobility);
-    m.pole = fo_unknown(p[FO_L_colour_pole], FO_L_colour_pole);
-    m.colour = fo_unknown(p[FO_L_colour_gain], FO_L_colour_gain);
-    m.noise = variance(p[FO_L_noise], FO_L_noise);
-    m.acceleration = variance(p[FO_L_acceleration], FO_L_acceleration);
-    m.voltage = variance(p[FO_L_voltage], FO_L_voltage);
-    m.drift = variance(p[FO_L_drift], FO_L_drift);
+    m.pole = p[FO_L_colour_pole];
+    m.colour = p[FO_L_colour_gain];
+    m.noise = variance(p[FO_L_noise]);
+    m.acceleration = variance(p[FO_L_acceleration]);
+    m.voltage = variance(p[FO_L_voltage]);
+    m.drift = variance(p[FO_L_drift]);
     m.loss = exp(p[FO_L_loss]);
     m.inverse_knee = exp(-p[FO_L_knee]);
     m.lag = p[FO_L_lag] + p[FO_L_delay]; /* in the time of the currents */
@@ -60,17 +60,23 @@ fo_model fo_model_of(const fo_machine *machine, const double p[FO_UNKNOWNS])
     return m;
 }
 
+/* What the derivative of the flux by the current depends on, but its scale. */
+enum { BENDS = 4 };
+/* Derivatives of a dual by the saturation of d; of q is the next. */
+enum { OF_BEND = 1 + FO_L_saturation_d - FO_FIRST_OF_MODEL };
+
 /* Flux of a current in rotor coordinates, without that of the magnets or the rotor. */
 typedef struct {
     double flux[2];       /* [Wb] */
     double by[2][2];      /* its derivatives by the current [H] */
     double by_bend[2];    /* by the saturation of its own axis [Wb] */
+    double bends[BENDS][2][2]; /* of `by`, by i_d, i_q and both saturations */
 } mapped;
 
 /* Least denominator of the saturation: beyond it, which no machine reaches, the flux is linear. */
 static const double least_left = 0.2;
 
-static mapped map_at(const fo_model *m, const double i[2])
+static mapped map_at(const fo_model *m, const double saturation[2], const double i[2])
 {
     mapped f;
     double base[2], by[2][2];
@@ -90,7 +96,7 @@ static mapped map_at(const fo_model *m, const double i[2])
         by[D][Q] = by[Q][D] = 0.0;
     }
     for (int a = 0; a < 2; a++) {
-        const double scale = m->scale[a].d[0], share = m->saturation[a] / m->machine.current;
+        const double scale = m->scale[a].d[0], share = saturation[a] / m->machine.current;
         double left = 1.0, bend = 0.0;
         if (share != 0.0) {
             const double below = 1.0 + share * fabs(i[a]);
@@ -107,9 +113,27 @@ static mapped map_at(const fo_model *m, const double i[2])
 
 void fo_flux_of(const fo_model *m, double psi, const double current[2], double flux[2])
 {
-    const mapped f = map_at(m, current);
+    const mapped f = map_at(m, m->saturation, current);
     flux[D] = psi + f.flux[D];
     flux[Q] = f.flux[Q];
+}
+
+/* Second derivatives: central differences of the first. */
+static void bend(const fo_model *m, const double i[2], mapped *f)
+{
+    static const double share = 1e-5; /* of the rated current, and of 1 */
+    for (int n = 0; n < BENDS; n++) {
+        const double step = n < 2 ? share * m->machine.current : share;
+        mapped ends[2];
+        for (int k = 0; k < 2; k++) {
+            double at[BENDS] = {i[D], i[Q], m->saturation[D], m->saturation[Q]};
+            at[n] += k ? step : -step;
+            ends[k] = map_at(m, at + 2, at);
+        }
+        for (int a = 0; a < 2; a++)
+            for (int b = 0; b < 2; b++)
+                f->bends[n][a][b] = (ends[1].by[a][b] - ends[0].by[a][b]) / (2.0 * step);
+    }
 }
 
 /* Current of a flux: Newton's iteration. Steps are halved until the residual falls, since a map
@@ -117,7 +141,7 @@ void fo_flux_of(const fo_model *m, double psi, const double current[2], double f
 static mapped current_of(const fo_model *m, const double flux[2], const double begin[2], double i[2])
 {
     memcpy(i, begin, 2 * sizeof *i);
-    mapped f = map_at(m, i);
+    mapped f = map_at(m, m->saturation, i);
     double r[2] = {flux[D] - f.flux[D], flux[Q] - f.flux[Q]};
     for (int n = 0; n < STEPS; n++) {
         const double det = f.by[D][D] * f.by[Q][Q] - f.by[D][Q] * f.by[Q][D];
@@ -128,13 +152,14 @@ static mapped current_of(const fo_model *m, const double flux[2], const double b
         double share = 1.0, tried[2];
         for (int half = 0; half < 8; half++, share *= 0.5) {
             for (int a = 0; a < 2; a++) tried[a] = i[a] + share * step[a];
-            f = map_at(m, tried);
+            f = map_at(m, m->saturation, tried);
             for (int a = 0; a < 2; a++) r[a] = flux[a] - f.flux[a];
             if (r[D] * r[D] + r[Q] * r[Q] < before) break;
         }
         memcpy(i, tried, sizeof tried);
         if (!m->machine.map && m->saturation[D] == 0.0 && m->saturation[Q] == 0.0) break;
     }
+    if (m->machine.saturates) bend(m, i, &f);
     return f;
 }
 
@@ -145,18 +170,22 @@ static fo_pair turned(fo_pair x, double c, double s)
     return r;
 }
 
-/* ∂i/∂λ in rotor coordinates, with its derivatives by the scales; how the derivative of the map
- * changes with the current is left out of these. */
-static void invert(const fo_model *m, const mapped *f, fo_dual inverse[2][2])
+/* ∂i/∂λ in rotor coordinates; `i`: the current. */
+static void invert(const fo_model *m, const mapped *f, const fo_dual i[2], fo_dual inverse[2][2])
 {
     fo_dual by[2][2];
     for (int a = 0; a < 2; a++)
         for (int b = 0; b < 2; b++) {
             const double relative = f->by[a][b] / m->scale[a].d[0];
             by[a][b] = fo_scale(relative, m->scale[a]);
+            if (!m->machine.saturates) continue;
+            for (int k = 1; k < FO_WIDTH; k++)
+                by[a][b].d[k] += f->bends[D][a][b] * i[D].d[k] + f->bends[Q][a][b] * i[Q].d[k];
+            by[a][b].d[OF_BEND] += f->bends[2][a][b];
+            by[a][b].d[OF_BEND + 1] += f->bends[3][a][b];
         }
     const bool coupled = f->by[D][Q] != 0.0 || f->by[Q][D] != 0.0;
-    if (!coupled) {
+    if (!coupled && !m->machine.map) {
         inverse[D][D] = fo_inverse(by[D][D]);
         inverse[Q][Q] = fo_inverse(by[Q][Q]);
         inverse[D][Q] = inverse[Q][D] = fo_constant(0.0);
@@ -210,7 +239,7 @@ static void by_harmonics(const harmonics_at *h, fo_dual inverse[2][2], double c,
             const double u = part ? -h->unit[n][B] : h->unit[n][A],
                          v = part ? h->unit[n][A] : h->unit[n][B];
             const double x = L[D][D] * u + L[D][Q] * v, y = L[Q][D] * u + L[Q][Q] * v;
-            const int at = 2 * n + part, column = FO_L - FO_C + at;
+            const int at = 2 * n + part, column = FO_L - FO_FIRST_OF_MEANS + at;
             p->by[A][column] = -(c * x - s * y);
             p->by[B][column] = -(s * x + c * y);
             const double t = orders[n];
@@ -243,11 +272,11 @@ static void clip(const fo_model *m, fo_prediction *p)
             p->sensed[a][B] -= 2.0 / 3.0 * d[a] * d[B];
         }
         for (int a = 0; a < 2; a++)
-            p->measured_by[a][FO_L_range - FO_C] += 2.0 / 3.0 * d[a] * (phase < 0.0 ? -1.0 : 1.0);
+            p->measured_by[a][FO_L_range - FO_FIRST_OF_MEANS] += 2.0 / 3.0 * d[a] * (phase < 0.0 ? -1.0 : 1.0);
     }
     if (!p->clipped) return;
     for (int k = 0; k < FO_COLUMNS; k++) {
-        if (k == FO_L_range - FO_C) continue;
+        if (k == FO_L_range - FO_FIRST_OF_MEANS) continue;
         const double u = p->measured_by[A][k], v = p->measured_by[B][k];
         for (int a = 0; a < 2; a++) p->measured_by[a][k] = p->sensed[a][A] * u + p->sensed[a][B] * v;
     }
@@ -264,12 +293,12 @@ static void measure_current(const fo_model *m, fo_prediction *p)
         p->measured_by[A][n] = (1.0 + g) * p->by[A][n] + k * p->by[B][n];
         p->measured_by[B][n] = (1.0 - g) * p->by[B][n] + k * p->by[A][n];
     }
-    p->measured_by[A][FO_L_offset_alpha - FO_C] = 1.0;
-    p->measured_by[B][FO_L_offset_beta - FO_C] = 1.0;
-    p->measured_by[A][FO_L_gain_re - FO_C] = t.a.d[0];
-    p->measured_by[B][FO_L_gain_re - FO_C] = -t.b.d[0];
-    p->measured_by[A][FO_L_gain_im - FO_C] = t.b.d[0];
-    p->measured_by[B][FO_L_gain_im - FO_C] = t.a.d[0];
+    p->measured_by[A][FO_L_offset_alpha - FO_FIRST_OF_MEANS] = 1.0;
+    p->measured_by[B][FO_L_offset_beta - FO_FIRST_OF_MEANS] = 1.0;
+    p->measured_by[A][FO_L_gain_re - FO_FIRST_OF_MEANS] = t.a.d[0];
+    p->measured_by[B][FO_L_gain_re - FO_FIRST_OF_MEANS] = -t.b.d[0];
+    p->measured_by[A][FO_L_gain_im - FO_FIRST_OF_MEANS] = t.b.d[0];
+    p->measured_by[B][FO_L_gain_im - FO_FIRST_OF_MEANS] = t.a.d[0];
     clip(m, p);
 }
 
@@ -286,31 +315,29 @@ void fo_predict(const fo_model *m, const fo_course *at, double speed, const doub
     const double psi = at->psi + m->psi.d[0];
     const double own[2] = {flux[D] - h.value[D] - psi, flux[Q] - h.value[Q]};
     const mapped f = current_of(m, own, begin, p->rotor);
-    fo_dual inverse[2][2];
-    invert(m, &f, inverse);
-    by_harmonics(&h, inverse, c, s, p);
-    /* ∂i = −Λ (∂ψ + ∂m): of ψ, and of the scales of m. */
-    fo_dual shift[2] = {m->psi, fo_constant(0.0)}, i[2];
-    for (int a = 0; a < 2; a++)
+    /* ∂i = −Λ (∂ψ + ∂m): of ψ, of the scales of m and of its saturation. */
+    fo_dual shift[2] = {m->psi, fo_constant(0.0)}, i[2], inverse[2][2];
+    for (int a = 0; a < 2; a++) {
         for (int k = 1; k < FO_WIDTH; k++)
             shift[a].d[k] += f.flux[a] / m->scale[a].d[0] * m->scale[a].d[k];
+        shift[a].d[OF_BEND + a] += f.by_bend[a];
+    }
+    const double det = f.by[D][D] * f.by[Q][Q] - f.by[D][Q] * f.by[Q][D];
+    const double over[2][2] = {{f.by[Q][Q] / det, -f.by[D][Q] / det},
+                               {-f.by[Q][D] / det, f.by[D][D] / det}};
     for (int a = 0; a < 2; a++) {
         i[a] = fo_constant(p->rotor[a]);
         for (int b = 0; b < 2; b++)
-            for (int k = 1; k < FO_WIDTH; k++) i[a].d[k] -= inverse[a][b].d[0] * shift[b].d[k];
+            for (int k = 1; k < FO_WIDTH; k++) i[a].d[k] -= over[a][b] * shift[b].d[k];
     }
+    invert(m, &f, i, inverse);
+    by_harmonics(&h, inverse, c, s, p);
     const fo_pair in_rotor = {i[D], i[Q]};
     p->current = turned(in_rotor, c, s);
-    const int bends[2] = {FO_L_saturation_d - FO_C, FO_L_saturation_q - FO_C};
-    for (int b = 0; b < 2; b++) {
-        const double x = -inverse[D][b].d[0] * f.by_bend[b], y = -inverse[Q][b].d[0] * f.by_bend[b];
-        p->by[A][bends[b]] = c * x - s * y;
-        p->by[B][bends[b]] = s * x + c * y;
-    }
     /* Iron: j ω λ is the induced voltage. */
     const double induced[2] = {-speed * at->flux[B], speed * at->flux[A]};
-    p->by[A][FO_L_iron_loss - FO_C] = induced[A];
-    p->by[B][FO_L_iron_loss - FO_C] = induced[B];
+    p->by[A][FO_L_iron_loss - FO_FIRST_OF_MEANS] = induced[A];
+    p->by[B][FO_L_iron_loss - FO_FIRST_OF_MEANS] = induced[B];
     p->terminal = (fo_pair){fo_shift(m->iron * induced[A], p->current.a),
                             fo_shift(m->iron * induced[B], p->current.b)};
     measure_current(m, p);
@@ -322,19 +349,19 @@ void fo_predict(const fo_model *m, const fo_course *at, double speed, const doub
     by_psi.b = fo_scale(-1.0, inverse[Q][D]);
     by_angle = turned(by_angle, c, s);
     by_psi = turned(by_psi, c, s);
-    p->by_angle[A] = by_angle.a;
-    p->by_angle[B] = by_angle.b;
-    p->by_psi[A] = by_psi.a;
-    p->by_psi[B] = by_psi.b;
+    p->slope[A][FO_BY_ANGLE] = by_angle.a;
+    p->slope[B][FO_BY_ANGLE] = by_angle.b;
+    p->slope[A][FO_BY_PSI] = by_psi.a;
+    p->slope[B][FO_BY_PSI] = by_psi.b;
     /* e^{jθ} Λ e^{−jθ} */
     const fo_dual sum = fo_add(inverse[D][Q], inverse[Q][D]);
-    p->by_flux[A][A] =
+    p->slope[A][FO_BY_ALPHA] =
         fo_axpy(fo_axpy(fo_scale(c * c, inverse[D][D]), s * s, inverse[Q][Q]), -c * s, sum);
-    p->by_flux[B][B] =
+    p->slope[B][FO_BY_BETA] =
         fo_axpy(fo_axpy(fo_scale(s * s, inverse[D][D]), c * c, inverse[Q][Q]), c * s, sum);
     const fo_dual both = fo_axpy(fo_scale(c * s, inverse[D][D]), -c * s, inverse[Q][Q]);
-    p->by_flux[A][B] = fo_axpy(fo_axpy(both, c * c, inverse[D][Q]), -s * s, inverse[Q][D]);
-    p->by_flux[B][A] = fo_axpy(fo_axpy(both, c * c, inverse[Q][D]), -s * s, inverse[D][Q]);
+    p->slope[A][FO_BY_BETA] = fo_axpy(fo_axpy(both, c * c, inverse[D][Q]), -s * s, inverse[Q][D]);
+    p->slope[B][FO_BY_ALPHA] = fo_axpy(fo_axpy(both, c * c, inverse[Q][D]), -s * s, inverse[D][Q]);
 }
 
 fo_signs fo_signs_of(const fo_model *m, double i_alpha, double i_beta)

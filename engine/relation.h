@@ -13,22 +13,27 @@ extern "C" {
 
 enum { FO_ALPHA, FO_BETA }; /* components of a vector */
 
-/* Derivatives by the parameters that change the means only: the gain is held. */
-enum { FO_COLUMNS = FO_UNKNOWNS - FO_C };
+/* Derivatives by the parameters that change the means only. */
+enum { FO_COLUMNS = FO_UNKNOWNS - FO_FIRST_OF_MEANS };
+
+/* What the current depends on: flux α and β, angle, ψ. */
+enum { FO_BY_ALPHA, FO_BY_BETA, FO_BY_ANGLE, FO_BY_PSI, FO_BY };
 
 /* Kind of a machine, and its constants that are not estimated. */
 typedef struct {
     const fo_map *map; /* flux over the current, scaled by L_d and L_q [1]; null: L_d and L_q [H] */
     bool cage;         /* d is along the rotor flux, which follows i_d */
+    bool saturates;    /* its inductances depend on the current, or may do so */
     double current;    /* rated [A] */
     double psi_rate;   /* std by which the flux of magnets or rotor changes [Wb/√s] */
 } fo_machine;
 
-/* Parameters, and their duals where the covariances depend on them. */
+/* Parameters; duals of those of the model. */
 typedef struct {
     fo_machine machine;
-    fo_dual R, scale[2], psi, mobility, pole, colour;
-    fo_dual noise, acceleration, voltage, drift; /* variances */
+    fo_dual R, scale[2], psi, mobility;
+    double pole, colour;
+    double noise, acceleration, voltage, drift; /* variances */
     double loss, inverse_knee, lag, iron, heat, offset[2], unequal[2], range;
     double R_R, over_L_M;      /* of a cage [Ω], [1/H] */
     double saturation[2];
@@ -55,11 +60,10 @@ typedef struct {
     fo_pair measured; /* by the sensors */
     double sensed[2][2]; /* derivative of the measured current by the terminal's, if it is clipped */
     bool clipped;
-    fo_dual by_flux[2][2];
-    fo_dual by_angle[2], by_psi[2];
+    fo_dual slope[2][FO_BY];   /* derivatives of the current */
     double by[2][FO_COLUMNS]; /* by the parameters of the means */
     double measured_by[2][FO_COLUMNS];
-    double angle_by[2][2 * FO_ORDERS]; /* of by_angle, by the harmonics */
+    double angle_by[2][2 * FO_ORDERS]; /* of that by the angle, by the harmonics */
 } fo_prediction;
 
 /* `rotor` of the prediction of the row before is where the search for the current begins. */

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.likelihood import INDEX, UNKNOWNS, Array, Complex, Row, library, log_of, pointer
+from engine.likelihood import INDEX, SMOOTHED, UNKNOWNS, Array, Complex, library, log_of, pointer
 from fluxobs.machines.model.frames import wrap
 
 NO_ESTIMATE = 1
@@ -41,10 +41,6 @@ class _Posterior(ctypes.Structure):
         ("evaluations", ctypes.c_size_t),
         ("converged", ctypes.c_bool),
     )
-
-
-#: A smoothed row.
-SMOOTHED = np.dtype([(name, float) for name in ("angle", "angle_std", "speed", "speed_std")])
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,27 +130,6 @@ def estimate(
         out.evaluations,
         out.converged,
     )
-
-
-def smoothed(
-    rows: NDArray[np.void],
-    sample_time: float,
-    parameters: Array | None = None,
-    covariance: Array | None = None,
-) -> NDArray[np.void]:
-    """Smooth rows that the filter kept; without a covariance, the parameters are exact."""
-    kept = np.ascontiguousarray(rows)
-    out = np.zeros(len(kept), SMOOTHED)
-    exact = np.zeros((UNKNOWNS, UNKNOWNS))
-    library().fo_smooth(
-        kept.ctypes.data_as(ctypes.POINTER(Row)),
-        ctypes.c_size_t(len(kept)),
-        ctypes.c_double(sample_time),
-        pointer(np.zeros(UNKNOWNS) if parameters is None else parameters),
-        pointer(exact if covariance is None else covariance),
-        pointer(out),
-    )
-    return out
 
 
 def degrees(angle: Array, true: Array) -> Array:

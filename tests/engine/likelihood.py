@@ -28,9 +28,14 @@ INDEX = {name: k for k, name in enumerate(NAMES)}
 #: Orders of the harmonics of the flux; each has two coefficients after the parameters.
 ORDERS = tuple(map(int, re.findall(r"ORDER\((-?\d+)\)", HEADER)))
 UNKNOWNS = N + 2 * len(ORDERS)
-#: States of the filter; of them flux, angle, speed and ψ are kept.
-STATES, OWN = 10, 5
-ELEMENTS = 43
+#: Parameters that change covariances only, and those of the linearised model.
+LEVELS = NAMES[: NAMES.index("colour_pole")]
+MODEL = NAMES[NAMES.index("resistance") : NAMES.index("loss")]
+#: States of the filter; of them flux, angle, speed and ψ are kept. The current depends on BY.
+STATES, OWN, BY = 10, 5, 4
+ELEMENTS, BENT = 43, 26
+SENSITIVE = UNKNOWNS - len(LEVELS)
+CHUNK = 64
 FIRMWARE = ENGINE.parent / "firmware"
 NUMBERS = ctypes.POINTER(ctypes.c_double)
 
@@ -58,13 +63,14 @@ class Machine(ctypes.Structure):
     _fields_ = (
         ("map", ctypes.c_void_p),
         ("cage", ctypes.c_bool),
+        ("saturates", ctypes.c_bool),
         ("current", ctypes.c_double),
         ("psi_rate", ctypes.c_double),
     )
 
 
 #: A machine with magnets and constant inductances; its rated current scales the saturation.
-LINEAR = Machine(None, False, 12.0, 0.0)
+LINEAR = Machine(None, False, False, 12.0, 0.0)
 
 
 class Start(ctypes.Structure):
@@ -79,22 +85,49 @@ class Start(ctypes.Structure):
     )
 
 
-class Row(ctypes.Structure):
-    """What the filter knows at a row; see engine/innovations.h."""
+class Problem(ctypes.Structure):
+    """A log, its machine and the course; see engine/innovations.h."""
 
-    _fields_ = (
-        ("own", ctypes.c_double * OWN),
-        ("P", ctypes.c_double * (OWN * STATES)),
-        ("error", ctypes.c_double * 2),
-        ("inverse", ctypes.c_double * 3),
-        ("K", ctypes.c_double * (2 * STATES)),
-        ("by_flux", ctypes.c_double * 4),
-        ("by_angle", ctypes.c_double * 2),
-        ("by_psi", ctypes.c_double * 2),
-        ("F", ctypes.c_double * ELEMENTS),
-        ("error_by", ctypes.c_double * (2 * UNKNOWNS)),
-        ("own_by", ctypes.c_double * (2 * UNKNOWNS)),
-        ("measured", ctypes.c_bool),
+    _fields_ = tuple((name, ctypes.c_void_p) for name in ("log", "machine", "start", "course"))
+
+
+#: The filter before a row, and what it knows at a row; see engine/innovations.h.
+FILTER = np.dtype(
+    [
+        ("x", float, STATES),
+        ("P", float, (STATES, STATES)),
+        ("by", float, (STATES, SENSITIVE)),
+        ("voltage", float, 2),
+        ("turning", float),
+        ("rotor", float, 2),
+        ("row", np.uintp),
+    ]
+)
+ROW = np.dtype(
+    [
+        ("own", float, OWN),
+        ("P", float, (STATES, STATES)),
+        ("error", float, 2),
+        ("V", float, (2, 2)),
+        ("R", float, (2, 2)),
+        ("K", float, (STATES, 2)),
+        ("H", float, (2, BY)),
+        ("H_by", float, (2, BY, len(MODEL))),
+        ("F", float, ELEMENTS),
+        ("F_by", float, (BENT, len(MODEL))),
+        ("error_by", float, (2, SENSITIVE)),
+        ("own_by", float, (2, SENSITIVE)),
+        ("measured", bool),
+    ],
+    align=True,
+)
+#: A smoothed row.
+SMOOTHED = np.dtype([(name, float) for name in ("angle", "angle_std", "speed", "speed_std")])
+
+
+class _Outputs(ctypes.Structure):
+    _fields_ = tuple(
+        (name, ctypes.c_void_p) for name in ("course", "squares", "smoothed", "covariance")
     )
 
 
@@ -128,18 +161,24 @@ class Likelihood:
     score: Array
     information: Array
     mean_square: float
+    #: Rows of the filter, and of the smoother with exact parameters.
     rows: NDArray[np.void]
+    smoothed: NDArray[np.void]
+    #: The course that smoothing gives.
+    next: NDArray[np.void]
 
 
 @cache
-def library(innovations: Path = ENGINE / "innovations.c") -> ctypes.CDLL:
-    """Compile the engine with this source of the likelihood as a shared library, and load it."""
+def library(changed: Path | None = None) -> ctypes.CDLL:
+    """Compile the engine as a shared library, and load it; a changed source replaces its own."""
     options = ["-std=c99", "-O3", "-ffp-contract=off", "-fPIC", "-shared", f"-I{ENGINE}"]
     options.append(f"-I{FIRMWARE}")
-    others = [path for path in sorted(ENGINE.glob("*.c")) if path.name != "innovations.c"]
-    others.append(FIRMWARE / "fluxobs_map.c")
+    sources = {path.name: path for path in sorted(ENGINE.glob("*.c"))}
+    sources["fluxobs_map.c"] = FIRMWARE / "fluxobs_map.c"
+    if changed:
+        sources[changed.name] = changed
     with tempfile.TemporaryDirectory() as folder:
-        built = build_program(["gcc"], options, [innovations, *others], Path(folder) / "engine.so")
+        built = build_program(["gcc"], options, list(sources.values()), Path(folder) / "engine.so")
         loaded = ctypes.CDLL(str(built))
     loaded.fo_innovations.restype = ctypes.c_bool
     return loaded
@@ -163,6 +202,10 @@ def course_of(current: Complex, angle: Array, parameters: Array) -> NDArray[np.v
     return course
 
 
+def address(values: NDArray[Any]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(values.ctypes.data)
+
+
 def likelihood(
     voltage: Complex,
     current: Complex,
@@ -172,33 +215,39 @@ def likelihood(
     start: Start,
     own: ctypes.CDLL | None = None,
     machine: Machine = LINEAR,
+    covariance: Array | None = None,
 ) -> Likelihood:
-    """Evaluate a log at the parameters; AssertionError if a number is not finite."""
-    rows, out = (Row * len(current))(), _Likelihood()
+    """Evaluate a log at the parameters; AssertionError if a number is not finite.
+
+    `covariance` of the parameters: it widens the smoothed rows.
+    """
+    code, n, out = own or library(), len(current), _Likelihood()
+    checkpoints, working = np.zeros(-(-n // CHUNK), FILTER), np.zeros(CHUNK, ROW)
+    rows, smoothed, follows = np.zeros(n, ROW), np.zeros(n, SMOOTHED), course.copy()
+    p = all_parameters(parameters)
+    exact = np.zeros((UNKNOWNS, UNKNOWNS)) if covariance is None else covariance
     with log_of(voltage, current, sample_time) as log:
-        done = (own or library()).fo_innovations(
-            ctypes.byref(log),
-            ctypes.byref(machine),
-            pointer(course),
-            pointer(all_parameters(parameters)),
-            ctypes.byref(start),
-            ctypes.byref(out),
-            rows,
+        parts = [ctypes.cast(ctypes.byref(x), ctypes.c_void_p) for x in (log, machine, start)]
+        problem = Problem(*parts, address(course))
+        about = (ctypes.byref(problem), pointer(p))
+        done = code.fo_innovations(
+            *about, ctypes.c_bool(True), ctypes.byref(out), address(checkpoints)
         )
-    assert done, "the covariance is not positive, or a number is not finite"
-    kept = np.frombuffer(rows, dtype=np.dtype(Row))
-    n = UNKNOWNS
-    information = np.array(out.information).reshape(n, n)
-    return Likelihood(out.objective, np.array(out.score), information, out.mean_square, kept)
-
-
-def smoothed_course(likelihood: Likelihood, course: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the course of the smoothed rows, with the unrest of the given course."""
-    out, rows = course.copy(), np.ascontiguousarray(likelihood.rows)
-    library().fo_smooth_course(
-        rows.ctypes.data_as(ctypes.POINTER(Row)), ctypes.c_size_t(len(rows)), pointer(out)
+        assert done, "the covariance is not positive, or a number is not finite"
+        whole = (ctypes.c_size_t(n), ctypes.c_bool(True), address(rows))
+        code.fo_again(*about, address(checkpoints), address(course), *whole)
+        outputs = _Outputs(address(follows), None, address(smoothed), address(exact))
+        back = (address(checkpoints), address(working), ctypes.byref(outputs), out.score)
+        code.fo_backward(*about, *back)
+    return Likelihood(
+        out.objective,
+        np.array(out.score),
+        np.array(out.information).reshape(UNKNOWNS, UNKNOWNS),
+        out.mean_square,
+        rows,
+        smoothed,
+        follows,
     )
-    return out
 
 
 def settled(
@@ -215,6 +264,6 @@ def settled(
     """Evaluate a log about the course that its smoothing settles at."""
     got = likelihood(voltage, current, sample_time, parameters, course, start, own, machine)
     for _ in range(passes):
-        course = smoothed_course(got, course)
+        course = got.next
         got = likelihood(voltage, current, sample_time, parameters, course, start, own, machine)
     return got, course

@@ -37,25 +37,29 @@ CASES = [
     (AVERAGED, 0.0025, 0.35, 0),
 ]
 RATED = 12.0
-#: Lines of the source with a deliberate error.
+#: Lines of a source with a deliberate error.
 ERRORS = {
     "regressor from the measured current": (
+        "innovations.c",
         ("static void move_flux(", "static const double *measured;\nstatic void move_flux("),
-        ("        advance(&m, &t", "        measured = i;\n        advance(&m, &t"),
+        ("    advance(q, &t", "    measured = i;\n    advance(q, &t"),
         ("a ? e->mean.b : e->mean.a;", "fo_constant(measured[a]);"),
     ),
-    "∂ ln det S left out": (("square.d[k + 1] + z->det.d[k + 1] * inverse", "square.d[k + 1]"),),
+    "∂ ln det S left out": (
+        "backward.c",
+        ("row->V[r][c] - z->w[r] * z->w[c]", "-z->w[r] * z->w[c]"),
+    ),
 }
 
 
-def with_error(changes: Sequence[tuple[str, str]], folder: Path) -> CDLL:
-    """Compile the source with some lines changed."""
-    text = (ENGINE / "innovations.c").read_text("utf-8")
+def with_error(file: str, changes: Sequence[tuple[str, str]], folder: Path) -> CDLL:
+    """Compile the engine with some lines of a source changed."""
+    text = (ENGINE / file).read_text("utf-8")
     for old, new in changes:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    (folder / "changed.c").write_text(text, "utf-8")
-    return library(folder / "changed.c")
+    (folder / file).write_text(text, "utf-8")
+    return library(folder / file)
 
 
 def row(name: str, conditions: Conditions, drives: int, own: CDLL | None = None) -> list[str]:
@@ -72,9 +76,9 @@ def rows(drives: int) -> Iterator[list[str]]:
         conditions = replace(machine, noise=noise * RATED, bandwidth=gain, lag=lag)
         yield row(name, conditions, drives)
     loud = replace(SURFACE, noise=0.008 * RATED)
-    for name, changes in ERRORS.items():
+    for name, (file, *changes) in ERRORS.items():
         with tempfile.TemporaryDirectory() as folder:
-            yield row(name, loud, drives, with_error(changes, Path(folder)))
+            yield row(name, loud, drives, with_error(file, changes, Path(folder)))
 
 
 def main() -> None:

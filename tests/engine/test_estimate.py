@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from engine.estimates import Estimate, NoEstimate, degrees, estimate, file_of, smoothed
+from engine.estimates import Estimate, NoEstimate, degrees, estimate, file_of
 from engine.likelihood import (
     ELEMENTS,
     INDEX,
-    OWN,
     STATES,
     UNKNOWNS,
     Array,
@@ -23,6 +22,7 @@ from engine.likelihood import (
     Likelihood,
     course_of,
     library,
+    likelihood,
     settled,
 )
 from engine.loop import INTERIOR, SURFACE, Conditions, Record, simulated
@@ -105,13 +105,14 @@ def settled_drive(duration: float) -> tuple[Complex, Complex, Array, NDArray[np.
 
 def test_smoothing_is_the_sum_over_all_innovations():
     """x_s = x + Σ C S⁻¹ e and P_s = P − Σ C S⁻¹ Cᵀ with C = cov(x, e), row by row."""
-    rows = settled_drive(0.03)[-1].rows
-    own = smoothed(rows, H)
+    got = settled_drive(0.03)[-1]
+    rows = got.rows
+    own = got.smoothed
     pattern = np.array((ctypes.c_ubyte * (2 * ELEMENTS)).in_dll(library(), "fo_pattern")).reshape(
         -1, 2
     )
     for first in (5, 17, 150, 299):
-        P = rows["P"][first].reshape(OWN, STATES)
+        P = rows["P"][first]
         angle, variance = rows["own"][first, ANGLE], P[ANGLE, ANGLE]
         chain = P[ANGLE]
         for k in range(first + 1, len(rows)):
@@ -119,45 +120,43 @@ def test_smoothing_is_the_sum_over_all_innovations():
             np.add.at(F, (pattern[:, 0], pattern[:, 1]), rows["F"][k - 1])
             chain = F @ chain
             measurement = np.zeros((2, STATES))
-            measurement[:, :2] = rows["by_flux"][k].reshape(2, 2)
-            measurement[:, ANGLE] = rows["by_angle"][k]
-            measurement[:, PSI] = rows["by_psi"][k]
+            measurement[:, [0, 1, ANGLE, PSI]] = rows["H"][k]
             measurement[:, -2:] = np.eye(2)
-            v, w, x = rows["inverse"][k]
-            C, V = measurement @ chain, np.array([[v, w], [w, x]])
+            C, V = measurement @ chain, rows["V"][k]
             angle += C @ V @ rows["error"][k]
             variance -= C @ V @ C
-            chain = chain - rows["K"][k].reshape(STATES, 2) @ C
+            chain = chain - rows["K"][k] @ C
         assert own["angle"][first] == pytest.approx(angle, abs=1e-9)
         assert own["angle_std"][first] ** 2 == pytest.approx(variance, rel=1e-3)
 
 
 def test_the_course_is_the_smoothed_angle():
     *_, about, got = settled_drive(0.05)
-    assert smoothed(got.rows, H)["angle"] == pytest.approx(about["angle"], abs=1e-6)
+    assert got.smoothed["angle"] == pytest.approx(about["angle"], abs=1e-6)
 
 
 def test_parameters_widen_the_band():
     """By their covariance through the derivatives of the smoothed angle (finite differences)."""
-    u, i, p, about, got = settled_drive(0.1)
+    u, i, p, about, _ = settled_drive(0.1)
     covariance = np.zeros((UNKNOWNS, UNKNOWNS))
     covariance[INDEX["psi_f"], INDEX["psi_f"]] = 1e-4
-    alone, wide = smoothed(got.rows, H), smoothed(got.rows, H, covariance=covariance)
+    alone, wide = (
+        likelihood(u, i, H, p, about, START, covariance=c).smoothed for c in (None, covariance)
+    )
     added = np.sqrt(wide["angle_std"] ** 2 - alone["angle_std"] ** 2) / 1e-2
     step = 1e-4 * np.eye(len(p))[INDEX["psi_f"]]
     above, below = (
-        smoothed(settled(u, i, H, p + s * step, about, START)[0].rows, H)["angle"] for s in (1, -1)
+        settled(u, i, H, p + s * step, about, START)[0].smoothed["angle"] for s in (1, -1)
     )
     assert added == pytest.approx(np.abs(above - below) / 2e-4, rel=0.2, abs=0.02)
 
 
 def test_old_currents_turn_the_angle():
     """The angle is that of the row: a delay of half a sample is half a sample's turn."""
-    rows = settled_drive(0.05)[-1].rows
-    delay = np.zeros(UNKNOWNS)
-    delay[INDEX["delay"]] = 0.5
-    turned = smoothed(rows, H, delay)["angle"] - smoothed(rows, H)["angle"]
-    assert turned == pytest.approx(0.5 * H * rows["own"][:, 3], rel=1e-9)
+    u, i, p, about, got = settled_drive(0.05)
+    p[INDEX["lag"]], p[INDEX["delay"]] = -0.5, 0.5  # voltage and current remain together
+    turned = likelihood(u, i, H, p, about, START).smoothed["angle"] - got.smoothed["angle"]
+    assert turned == pytest.approx(0.5 * H * got.rows["own"][:, 3], rel=1e-6)
 
 
 def test_a_load_step_does_not_spoil_the_inductance():

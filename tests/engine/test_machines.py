@@ -153,7 +153,7 @@ def test_score_of_a_cage_has_mean_zero_at_the_truth():
         course = course_of(made.current, made.angle, p)
         flux = CAGE.L_sigma * made.current + psi * np.exp(1j * made.angle)
         course["flux"], course["psi"] = np.stack([flux.real, flux.imag], axis=1), psi
-        machine = EngineMachine(None, True, 7.0, 1e-6)
+        machine = EngineMachine(None, True, False, 7.0, 1e-6)
         start = Start(1.0, 1.8, 300.0, 0.3, 1e4, 5.0, 300)
         got, _ = settled(made.voltage, made.current, H, p, course, start, machine=machine)
         scores.append(got.score / np.sqrt(np.maximum(np.diag(got.information), 1e-30)))

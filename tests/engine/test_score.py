@@ -10,10 +10,10 @@ import pytest
 from engine.estimates import degrees
 from engine.likelihood import (
     INDEX,
+    LINEAR,
     NAMES,
-    OWN,
-    STATES,
     UNKNOWNS,
+    Machine,
     N,
     Start,
     all_parameters,
@@ -67,21 +67,39 @@ def log_with_everything(conditions: Conditions):
     return u, i, record.angle[:, 0], p
 
 
-@pytest.mark.parametrize("conditions", [SURFACE, INTERIOR], ids=["surface", "interior"])
-def test_score_is_the_derivative_of_the_objective(conditions):
+SATURATING = Machine(None, False, True, 12.0, 0.0)
+CAGE = Machine(None, True, False, 12.0, 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "machine", "saturation"),
+    [
+        pytest.param(SURFACE, LINEAR, 0.0, id="surface"),
+        pytest.param(INTERIOR, LINEAR, 0.0, id="interior"),
+        pytest.param(INTERIOR, SATURATING, 0.1, id="saturating"),
+        pytest.param(SURFACE, CAGE, 0.0, id="cage"),
+    ],
+)
+def test_score_is_the_derivative_of_the_objective(conditions, machine, saturation):
     """About any course; slopes of the loss and the harmonics in the gain are held."""
     u, i, angle, p = log_with_everything(conditions)
     p[INDEX["loss"]] = np.log(1e-9)
-    p[INDEX["saturation_d"]] = p[INDEX["saturation_q"]] = 0.0
+    p[INDEX["saturation_d"]], p[INDEX["saturation_q"]] = saturation, 0.5 * saturation
     p[N:] = 0.0
+    exact = set(EXACT) - (set() if saturation else {"saturation_d", "saturation_q"})
     course = course_of(i, angle + 0.02 * np.sin(np.arange(len(angle)) / 50), p)
-    start = Start(1e-3, 0.1, 30.0, 0.0, 300.0, 0.1, 20)
-    got = likelihood(u, i, 1e-4, p, course, start)
-    for name in EXACT:
+    if machine.cage:  # without magnets
+        course["psi"], p[INDEX["psi_f"]] = np.exp(p[INDEX["psi_f"]]), -np.inf
+        p[INDEX["rotor_resistance"]], p[INDEX["magnetizing"]] = np.log(0.05), np.log(5e-3)
+        exact -= {"L_d", "L_q", "psi_f"}
+    start = Start(1e-3, 0.1, 30.0, 1e-3, 300.0, 0.1, 20)
+    got = likelihood(u, i, 1e-4, p, course, start, machine=machine)
+    for name in exact:
         k = INDEX[name]
         step = (1e-2 if name == "mobility" else 1e-5) * np.eye(UNKNOWNS)[k]
         above, below = (
-            likelihood(u, i, 1e-4, p + s * step, course, start).objective for s in (1, -1)
+            likelihood(u, i, 1e-4, p + s * step, course, start, machine=machine).objective
+            for s in (1, -1)
         )
         numeric = (above - below) / (2 * step[k])
         assert got.score[k] == pytest.approx(numeric, rel=1e-5, abs=1e-3), name
@@ -129,7 +147,8 @@ def test_score_has_mean_zero_and_its_information_at_the_truth(name):
 @pytest.mark.parametrize("error", ERRORS)
 def test_a_deliberate_error_is_seen(tmp_path, error):
     """Noise of the current returns in the voltages of the controller: R i must not take it."""
-    own = with_error(ERRORS[error], tmp_path)
+    file, *changes = ERRORS[error]
+    own = with_error(file, changes, tmp_path)
     loud = replace(SURFACE, noise=0.1)
     assert np.abs(scores_at_the_truth(loud, FEW, own).deviation()).max() > 2 * MOST
 
@@ -179,4 +198,4 @@ def test_a_course_is_not_lost_where_the_filter_knows_nothing():
     error = degrees(course["angle"], record.angle[:, 0])
     assert np.abs(error[3300:]).max() < 1.0
     assert np.abs(error[:900]).max() < 1.0
-    assert np.sqrt(got.rows["P"][2999].reshape(OWN, STATES)[ANGLE, ANGLE]) > 0.5
+    assert np.sqrt(got.rows["P"][2999, ANGLE, ANGLE]) > 0.5
