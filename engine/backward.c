@@ -139,7 +139,7 @@ static void score_of_measurement(const fo_row *row, const adjoint *a, const meas
             by_S[r][c] = rest - z->lambda[r] * z->w[c] - z->w[r] * z->lambda[c] + z->both[r][c] -
                          z->lambda[r] * z->lambda[c];
             extra[r][c] = rest - z->w[r] * z->lambda[c];
-            score[FO_L_noise] += by_S[r][c] * row->R[r][c];
+            score[FO_L_noise] += by_S[r][c] * row->noise[r][c];
         }
     for (int s = 0; s < S; s++)
         for (int n = 0; n < 2; n++)
@@ -298,8 +298,9 @@ void fo_backward(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
                 /* Before its own transition, λ is that of the next row's state: the change has q λ. */
                 const double q = fabs(h) * m.acceleration * course[k].unrest;
                 const double l = all.lambda[FO_ACCELERATION];
-                out->squares[n].change =
-                    1.0 - q * all.Lambda[FO_ACCELERATION][FO_ACCELERATION] + q * l * l;
+                const double told = q * all.Lambda[FO_ACCELERATION][FO_ACCELERATION];
+                out->squares[n].change = 1.0 - told + q * l * l;
+                out->squares[n].told = told;
                 out->squares[n].noise = 2.0;
             }
             if (n + 1 < count) {

@@ -17,6 +17,7 @@ typedef struct {
 /* Expected squares at a row, over their variances in the filter. */
 typedef struct {
     double change; /* of the acceleration until the next row */
+    double told;   /* share of its variance that the currents tell */
     double noise;  /* of both components of the current's noise; 2 if its level is right */
 } fo_squares;
 

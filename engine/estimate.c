@@ -8,16 +8,14 @@ enum {
     SKIPPED = 20,     /* rows until innovations count: the first speed is rough */
     FIRST = 30,       /* evaluations of the first stage, at most */
     MOST = 60,        /* of the second */
-    LAST = 40         /* of the third: what is left of the unrest hardly moves the rest */
+    LAST = 60         /* of the third: what is left of the unrest hardly moves the rest */
 };
 /* Half squares: a stage ends when a step is expected to gain less. A parameter that is d standard
  * deviations off costs d²/2, so it remains within 0.3 of them. */
 static const double rough = 5.0, coarse = 2.0, fine = 0.05;
 
 /* Share of the flux by which magnets change in a second (root of it): their temperature changes by 30 K
- * in ten minutes. A cage's flux changes as its inductances do. A reluctance machine has none, but the
- * walk stands for what the derivative of ∂i/∂λ by the saturation lacks: without it, L_d and saturation
- * of a machine with constant i_d are 5 standard deviations off. */
+ * in ten minutes. A cage's flux changes as its inductances do. A reluctance machine has none. */
 static const double psi_walk = 1e-3;
 
 /* Root mean square of the voltages. */
@@ -90,17 +88,25 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     return p;
 }
 
-/* First values. The levels are those of a poor drive: as small as the filter can follow with, since
- * large levels of voltage and drift lose the course where the rotor stands. */
+/* The levels of a poor drive: as small as the filter can follow with, since large levels of voltage and
+ * drift lose the course where the rotor stands. */
+static void begin_levels(const fo_log *record, const fo_file *file, const fo_prior *prior,
+                         double *parameters)
+{
+    const double u = mean_voltage(record);
+    parameters[FO_L_noise] = log(0.02 * file->rated_current);
+    parameters[FO_L_acceleration] = prior->mean[FO_L_acceleration];
+    parameters[FO_L_voltage] = log(0.01 * u * sqrt(fabs(record->sample_time)));
+    parameters[FO_L_drift] = log(0.02 * u);
+}
+
+/* First values. */
 static void begin(const fo_log *record, const fo_file *file, const fo_prior *prior,
                   const double *parameters, fo_posterior *out)
 {
-    const double u = mean_voltage(record);
     memset(out, 0, sizeof *out);
     memcpy(out->parameters, prior->mean, sizeof prior->mean);
-    out->parameters[FO_L_noise] = log(0.02 * file->rated_current);
-    out->parameters[FO_L_voltage] = log(0.01 * u * sqrt(fabs(record->sample_time)));
-    out->parameters[FO_L_drift] = log(0.02 * u);
+    begin_levels(record, file, prior, out->parameters);
     /* Below the largest current: from there it rises if no sensor saturates. */
     if (prior->std[FO_L_range] > 0.0) out->parameters[FO_L_range] = 0.93 * largest_current(record);
     out->harmonics = prior->harmonics;
@@ -131,9 +137,52 @@ static fo_machine machine_of(const fo_file *file)
         .cage = file->R_R > 0.0,
         .saturates = file->map || file->saturation_std > 0.0,
         .current = file->rated_current,
-        .psi_rate = psi_walk * file->flux,
+        .psi_rate = file->psi_f > 0.0 || file->R_R > 0.0 ? psi_walk * file->flux : 0.0,
     };
     return machine;
+}
+
+/* Rows in which the current hardly changes in rotor coordinates, for a first value. */
+enum { STEADY = 250 };
+
+/* First offset of the measured current: what does not turn with the rotor. Regression on each block's
+ * mean current in rotor coordinates and on a constant in stator coordinates, with the prior; where the
+ * rotor stands, both are the same. */
+static void begin_offset(const fo_log *record, const double *angle, const fo_prior *prior,
+                         double *parameters)
+{
+    double sums[2] = {0.0, 0.0}, weight = 0.0, squares = 0.0, rows = 0.0;
+    if (!(prior->std[FO_L_offset_alpha] > 0.0)) return;
+    for (size_t first = 0; first < record->rows; first += STEADY) {
+        const size_t end = first + STEADY < record->rows ? first + STEADY : record->rows;
+        double mean[2] = {0.0, 0.0}, turn[2] = {0.0, 0.0}, known = 0.0;
+        for (size_t k = first; k < end; k++) {
+            const double *i = record->current + 2 * k, c = cos(angle[k]), s = sin(angle[k]);
+            if (!isfinite(i[0] + i[1])) continue;
+            mean[0] += c * i[0] + s * i[1];
+            mean[1] += c * i[1] - s * i[0];
+            turn[0] += c;
+            turn[1] -= s;
+            known += 1.0;
+        }
+        for (size_t k = first; k < end; k++) {
+            const double *i = record->current + 2 * k, c = cos(angle[k]) / known,
+                         s = sin(angle[k]) / known;
+            if (!isfinite(i[0] + i[1])) continue;
+            const double a = i[0] - c * mean[0] + s * mean[1], b = i[1] - c * mean[1] - s * mean[0];
+            const double x = 1.0 - c * turn[0] + s * turn[1], y = -c * turn[1] - s * turn[0];
+            sums[0] += x * a + y * b;
+            sums[1] += x * b - y * a;
+            weight += x * x + y * y;
+            squares += a * a + b * b;
+            rows += 1.0;
+        }
+    }
+    if (!(rows > 0.0)) return;
+    const double own = prior->std[FO_L_offset_alpha];
+    const double all = weight + (double)STEADY * squares / rows / (own * own);
+    parameters[FO_L_offset_alpha] = sums[0] / all;
+    parameters[FO_L_offset_beta] = sums[1] / all;
 }
 
 /* The course through these angles: the flux is that of the measured current. A cage's rotor flux
@@ -146,7 +195,8 @@ static void set_course(const fo_problem *problem, const double *angle, const dou
     double i[2] = {0.0, 0.0}, psi = 0.0;
     for (size_t k = 0; k < record->rows; k++) {
         const double *own = record->current + 2 * k, c = cos(angle[k]), s = sin(angle[k]);
-        if (isfinite(own[0] + own[1])) memcpy(i, own, sizeof i);
+        if (isfinite(own[0] + own[1]))
+            for (int a = 0; a < 2; a++) i[a] = own[a] - m.offset[a];
         const double rotor[2] = {c * i[0] + s * i[1], c * i[1] - s * i[0]};
         if (m.machine.cage)
             psi += k ? decay * (rotor[0] / m.over_L_M - psi) : rotor[0] / m.over_L_M;
@@ -157,55 +207,179 @@ static void set_course(const fo_problem *problem, const double *angle, const dou
     }
 }
 
-/* First levels, the loss and the sensors, about the given course; then all but the mobility, which moves
- * when the rest is nearly right. */
-static bool begin_learning(const fo_work *w, const fo_prior *prior, fo_posterior *out)
+/* First levels, the loss and the sensors, about the given course, whose errors are those of the voltage for
+ * now. */
+static bool learn_levels(const fo_work *w, const fo_prior *prior, fo_posterior *out)
 {
-    bool some[FO_L] = {false}, most[FO_L];
     static const int early[] = {FO_L_noise, FO_L_acceleration, FO_L_voltage, FO_L_drift, FO_L_loss,
                                 FO_L_knee, FO_L_offset_alpha, FO_L_offset_beta, FO_L_range};
+    bool some[FO_L] = {false};
     for (size_t k = 0; k < sizeof early / sizeof *early; k++) some[early[k]] = true;
-    for (int k = 0; k < FO_L; k++) most[k] = k != FO_L_mobility;
     fo_prior first = *prior;
     first.harmonics = 0.0;
-    const fo_stage stages[2] = {{some, rough, FIRST, false, false}, {most, coarse, MOST, true, false}};
-    return fo_learn(w, &first, &stages[0], out) && fo_learn(w, prior, &stages[1], out);
+    const fo_stage stage = {some, rough, FIRST, false, false};
+    const double voltage = out->parameters[FO_L_voltage], drift = out->parameters[FO_L_drift];
+    const bool learnt = fo_learn(w, &first, &stage, out);
+    out->parameters[FO_L_voltage] = voltage;
+    out->parameters[FO_L_drift] = drift;
+    return learnt;
 }
 
-/* All, with the unrest of the acceleration, which takes its level along. */
-static bool end_learning(const fo_work *w, const fo_prior *prior, fo_posterior *out)
+/* Then all but the errors of the voltage, since large levels of these would explain what the parameters
+ * should, and the mobility, which moves when the rest is nearly right. */
+static bool learn_machine(const fo_work *w, const fo_prior *prior, fo_posterior *out)
 {
-    bool last[FO_L];
-    for (int k = 0; k < FO_L; k++) last[k] = k != FO_L_acceleration;
-    const fo_stage stage = {last, fine, LAST, true, true};
+    bool most[FO_L];
+    for (int k = 0; k < FO_L; k++)
+        most[k] = k != FO_L_mobility && k != FO_L_voltage && k != FO_L_drift;
+    const fo_stage stage = {most, coarse, MOST, true, false};
     return fo_learn(w, prior, &stage, out);
 }
 
-/* Both hypotheses on the sensors of the current, with and without a limit of their range: the smaller
- * objective counts. `other`: working space. */
-static bool learn(fo_work *w, const fo_file *file, const fo_prior *prior, const double *angle,
-                  const double *parameters, fo_course *other, fo_posterior *out, fo_smoothed *rows)
+/* All, with the unrest of the acceleration, which takes its level along. */
+static bool learn_all(const fo_work *w, const fo_prior *prior, fo_posterior *out)
 {
-    fo_prior priors[2] = {*prior, *prior};
-    put(&priors[0], FO_L_range, 0.0, 0.0);
-    fo_posterior posteriors[2];
-    fo_course *courses[2] = {w->problem.course, other};
-    int best = -1;
-    for (int n = 0; n < 2; n++) {
-        begin(w->problem.log, file, &priors[n], parameters, &posteriors[n]);
-        w->problem.course = courses[n];
-        set_course(&w->problem, angle, posteriors[n].parameters);
-        const bool learnt = begin_learning(w, &priors[n], &posteriors[n]);
-        if (learnt && (best < 0 || posteriors[n].objective < posteriors[best].objective)) best = n;
+    const fo_stage stage = {NULL, fine, LAST, true, true};
+    return fo_learn(w, prior, &stage, out);
+}
+
+/* Both hypotheses on the sensors of the current, with and without a limit of their range. */
+enum { HYPOTHESES = 2 };
+
+/* Learning begins on parts of a long log: so many, and so many rows in all. */
+enum { PARTS = 8, LEARNT = 8192 };
+/* Passes of smoothing of the rows between them. */
+enum { ROUGH = 2 };
+
+/* What learning needs: for each hypothesis its prior, its posterior and a course. */
+typedef struct {
+    const fo_file *file;
+    fo_work work;
+    fo_part parts[PARTS], whole;
+    size_t count;
+    fo_prior priors[HYPOTHESES];
+    fo_posterior posteriors[HYPOTHESES];
+    fo_course *courses[HYPOTHESES];
+} learning;
+
+/* Parts of equal length at equal distances; the one that contains the largest current, or is the nearest
+ * to it, moves there. */
+static size_t parts_of(const fo_log *record, fo_part parts[PARTS])
+{
+    parts[0] = (fo_part){0, record->rows};
+    if (record->rows <= 2 * LEARNT) return 1;
+    const size_t length = LEARNT / PARTS, apart = record->rows / PARTS;
+    size_t largest = 0;
+    double most = 0.0;
+    for (size_t k = 0; k < record->rows; k++) {
+        const double *i = record->current + 2 * k, own = i[0] * i[0] + i[1] * i[1];
+        if (own > most) {
+            most = own;
+            largest = k;
+        }
     }
+    for (size_t n = 0; n < PARTS; n++) {
+        const size_t from = n * apart, last = from + apart - length;
+        size_t first = from + (apart - length) / 2;
+        if (largest >= from && largest < from + apart) {
+            first = largest > from + length / 2 ? largest - length / 2 : from;
+            first = first < last ? first : last;
+        }
+        parts[n] = (fo_part){first, length};
+    }
+    return PARTS;
+}
+
+static double square_of_step(const fo_log *record, size_t k)
+{
+    const double *i = record->current + 2 * k, a = i[0] - i[-2], b = i[1] - i[-1];
+    return a * a + b * b;
+}
+
+void fo_rounding_of(const fo_log *record, double *rounding)
+{
+    for (size_t first = 0, end; first < record->rows; first = end) {
+        for (end = first + 1; end < record->rows && square_of_step(record, end) == 0.0;) end++;
+        /* The steps at both ends of the run; NaN if a current is missing there. */
+        double sum = 0.0, steps = 0.0;
+        for (int n = 0; n < 2; n++) {
+            const size_t at = n ? end : first;
+            if (at == 0 || at == record->rows) continue;
+            const double square = square_of_step(record, at);
+            if (!isfinite(square)) continue;
+            sum += square;
+            steps += 1.0;
+        }
+        const double length = (double)(end - first);
+        const double variance = steps > 0.0 && length > 1.0 ? length * sum / steps / 12.0 : 0.0;
+        for (size_t k = first; k < end; k++) rounding[k] = variance;
+    }
+}
+
+/* Learns the hypotheses on parts of the log; the smaller objective counts. */
+static int learn_parts(learning *l, const double *angle, const double *parameters)
+{
+    fo_work *w = &l->work;
+    int best = -1;
+    put(&l->priors[0], FO_L_range, 0.0, 0.0);
+    w->parts = l->parts;
+    w->count = l->count;
+    for (int n = 0; n < HYPOTHESES; n++) {
+        fo_posterior *out = &l->posteriors[n];
+        begin(w->problem.log, l->file, &l->priors[n], parameters, out);
+        w->problem.course = l->courses[n];
+        begin_offset(w->problem.log, angle, &l->priors[n], out->parameters);
+        set_course(&w->problem, angle, out->parameters);
+        bool learnt = learn_levels(w, &l->priors[n], out);
+        /* A range beyond the largest current is none. */
+        if (learnt && best >= 0 && out->parameters[FO_L_range] > largest_current(w->problem.log))
+            break;
+        learnt = learnt && learn_machine(w, &l->priors[n], out);
+        if (learnt && (best < 0 || out->objective < l->posteriors[best].objective)) best = n;
+    }
+    return best;
+}
+
+/* The course between the parts. */
+static void set_rest(const fo_problem *problem, const double *angle, const double *parameters,
+                     const fo_part *parts, size_t count, fo_course *other)
+{
+    fo_problem all = *problem;
+    all.course = other;
+    set_course(&all, angle, parameters);
+    for (size_t n = 0; n <= count; n++) {
+        const size_t from = n ? parts[n - 1].first + parts[n - 1].rows : 0;
+        const size_t end = n < count ? parts[n].first : problem->log->rows;
+        for (size_t k = from; k < end; k++) problem->course[k] = other[k];
+    }
+}
+
+static bool learn(learning *l, const double *angle, const double *parameters, fo_posterior *out,
+                  fo_smoothed *rows)
+{
+    fo_work *w = &l->work;
+    const int best = learn_parts(l, angle, parameters);
     if (best < 0) return false;
-    w->problem.course = courses[best];
-    const bool learnt = end_learning(w, &priors[best], &posteriors[best]);
-    *out = posteriors[best];
-    out->evaluations = posteriors[0].evaluations + posteriors[1].evaluations;
+    fo_posterior *own = &l->posteriors[best];
+    const fo_prior *prior = &l->priors[best];
+    w->problem.course = l->courses[best];
+    if (l->count > 1) {
+        set_rest(&w->problem, angle, own->parameters, l->parts, l->count, l->courses[best ? 0 : 1]);
+        w->parts = &l->whole;
+        w->count = 1;
+        /* The course of the other rows is rough yet: first with large levels. */
+        double p[FO_UNKNOWNS];
+        memcpy(p, own->parameters, sizeof p);
+        begin_levels(w->problem.log, l->file, prior, p);
+        if (!fo_settle(w, p, ROUGH) || !fo_settle(w, own->parameters, ROUGH)) return false;
+    }
+    const bool learnt = learn_all(w, prior, own);
+    *out = *own;
+    out->evaluations = 0;
+    for (int n = 0; n < HYPOTHESES; n++) out->evaluations += l->posteriors[n].evaluations;
     fo_likelihood last;
     if (!learnt || !fo_innovations(&w->problem, out->parameters, true, &last, w->checkpoints) ||
-        !fo_covariance(&last, &priors[best], out))
+        !fo_covariance(&last, prior, out))
         return false;
     const fo_outputs wanted = {.smoothed = rows, .covariance = out->covariance};
     fo_backward(&w->problem, out->parameters, w->checkpoints, w->rows, &wanted, NULL);
@@ -218,21 +392,33 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
     const fo_prior prior = fo_ordinary_prior(record, file);
     const fo_machine machine = machine_of(file);
     const fo_start start = any_start(record, file);
-    fo_course *course = malloc(record->rows * sizeof *course);
-    fo_course *other = malloc(record->rows * sizeof *other);
-    fo_work w = {.problem = {record, &machine, &start, course},
-                 .checkpoints = malloc(fo_checkpoints(record->rows) * sizeof(fo_filter)),
-                 .rows = malloc(FO_CHUNK * sizeof(fo_row)),
-                 .squares = malloc(record->rows * sizeof(fo_squares))};
-    fo_outcome outcome = FO_NO_MEMORY;
-    if (course && other && w.checkpoints && w.rows && w.squares) {
-        const bool learnt = learn(&w, file, &prior, angle, parameters, other, posterior, rows);
-        outcome = learnt ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    const size_t count = record->rows;
+    double *rounding = malloc(count * sizeof *rounding);
+    fo_log log = *record;
+    log.rounding = rounding;
+    learning l = {.file = file, .whole = {0, count}};
+    for (int n = 0; n < HYPOTHESES; n++) l.priors[n] = prior;
+    l.count = parts_of(record, l.parts);
+    l.work = (fo_work){.problem = {&log, &machine, &start, NULL},
+                       .checkpoints = malloc((fo_checkpoints(count) + PARTS) * sizeof(fo_filter)),
+                       .rows = malloc(FO_CHUNK * sizeof(fo_row)),
+                       .squares = malloc(count * sizeof(fo_squares)),
+                       .before = malloc(count * sizeof(fo_course))};
+    bool memory = rounding && l.work.checkpoints && l.work.rows && l.work.squares && l.work.before;
+    for (int n = 0; n < HYPOTHESES; n++) {
+        l.courses[n] = malloc(count * sizeof *l.courses[n]);
+        memory = memory && l.courses[n];
     }
-    free(course);
-    free(other);
-    free(w.checkpoints);
-    free(w.rows);
-    free(w.squares);
+    fo_outcome outcome = FO_NO_MEMORY;
+    if (memory) {
+        fo_rounding_of(record, rounding);
+        outcome = learn(&l, angle, parameters, posterior, rows) ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    }
+    free(rounding);
+    for (int n = 0; n < HYPOTHESES; n++) free(l.courses[n]);
+    free(l.work.checkpoints);
+    free(l.work.rows);
+    free(l.work.squares);
+    free(l.work.before);
     return outcome;
 }

@@ -32,6 +32,11 @@ typedef struct {
     double saturation_std; /* share of its flux that the rated current loses [1] */
 } fo_file;
 
+/* Variance that rounding adds to each row's noise [A²]. While the reading does not change, its error does
+ * not either: a run of n equal readings tells as much as one, whose error is uniform over the step with
+ * which it ends. So do currents that the logger holds, and a sensor that is stuck for a while. */
+void fo_rounding_of(const fo_log *log, double *rounding);
+
 /* Priors of an ordinary drive. The levels scale with the log's mean voltage and the rated current. */
 fo_prior fo_ordinary_prior(const fo_log *log, const fo_file *file);
 

@@ -72,7 +72,8 @@ typedef struct {
 
 /* A measurement update. */
 typedef struct {
-    double e[2], R[2][2], S[2][2], V[2][2], w[2], K[S][2]; /* V: inverse of S; w = V e */
+    double noise[2][2], R[2][2]; /* R: with that of rounding */
+    double e[2], S[2][2], V[2][2], w[2], K[S][2]; /* V: inverse of S; w = V e */
     double det;
     fo_dual H[2][FO_BY];
     double by_model[2][FO_T]; /* derivatives of e, of the state held */
@@ -161,7 +162,7 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
             e[l][a] = -own->x[FO_NOISE + a];
             for (int k = 0; k < FO_BY; k++) e[l][a] -= H[a][k] * own->x[fo_measured_states[k]];
             for (int b = 0; b < 2; b++)
-                by[a][b] = slope_times(H, a, PH, b) + (l == FO_L_noise ? 2.0 * z->R[a][b] : 0.0);
+                by[a][b] = slope_times(H, a, PH, b) + (l == FO_L_noise ? 2.0 * z->noise[a][b] : 0.0);
         }
         for (int a = 0; a < 2; a++)
             for (int b = 0; b < 2; b++)
@@ -186,8 +187,8 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
 }
 
 /* Measurement update of state and covariance. */
-static bool measure(const pass *q, const double measured[2], const fo_prediction *p, fo_filter *f,
-                    bool counted, update *z)
+static bool measure(const pass *q, const double measured[2], double rounding,
+                    const fo_prediction *p, fo_filter *f, bool counted, update *z)
 {
     const fo_model *m = q->m;
     double d[FO_BY], H[2][FO_BY], PH[S][2];
@@ -205,7 +206,8 @@ static bool measure(const pass *q, const double measured[2], const fo_prediction
     times_slope(f->P, H, PH);
     for (int a = 0; a < 2; a++)
         for (int b = a; b < 2; b++) {
-            z->R[a][b] = z->R[b][a] = q->course->doubt * m->noise * noise_of(p, a, b);
+            z->noise[a][b] = z->noise[b][a] = q->course->doubt * m->noise * noise_of(p, a, b);
+            z->R[a][b] = z->R[b][a] = z->noise[a][b] + (a == b ? rounding : 0.0);
             z->S[a][b] = z->S[b][a] = z->R[a][b] + slope_times(H, a, PH, b);
         }
     z->det = z->S[0][0] * z->S[1][1] - z->S[0][1] * z->S[0][1];
@@ -754,7 +756,7 @@ static void keep_row(const fo_filter *f, const update *z, double error_by[2][FO_
     if (!z) return;
     memcpy(row->error, z->e, sizeof row->error);
     memcpy(row->V, z->V, sizeof row->V);
-    memcpy(row->R, z->R, sizeof row->R);
+    memcpy(row->noise, z->noise, sizeof row->noise);
     memcpy(row->K, z->K, sizeof row->K);
     for (int a = 0; a < 2; a++)
         for (int k = 0; k < FO_BY; k++) {
@@ -776,6 +778,12 @@ static fo_prediction prediction_at(const pass *q, const fo_filter *f)
     return p;
 }
 
+/* From 0 to 1. */
+static double place_of(const fo_log *log, size_t k)
+{
+    return (double)(log->first + k) / (double)(log->whole ? log->whole : log->rows);
+}
+
 /* A row and, unless it is the last, the interval to the next. `at` and `next`: predictions of both.
  * False: a number is not finite, or a covariance is not positive. */
 static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next, fo_filter *f,
@@ -795,7 +803,8 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
     update z;
     if (seen) {
         measured_slope(at, z.H);
-        if (!measure(q, i, at, f, counted, &z)) return false;
+        const double rounding = log->rounding ? log->rounding[k] : 0.0;
+        if (!measure(q, i, rounding, at, f, counted, &z)) return false;
         if (q->sensitive) measure_sensitivity(at, &z, f, error_by);
         if (counted) count(&z, error_by, q->out);
         for (int a = 0; a < 2; a++) residual[a] = z.R[a][0] * z.w[0] + z.R[a][1] * z.w[1];
@@ -814,7 +823,7 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
     const interval t = {h, {held[0], held[1]},
                         {early ? held[0] - after[0] : before[0] - held[0],
                          early ? held[1] - after[1] : before[1] - held[1]},
-                        (double)k / (double)log->rows, q->course, q->course + 1, at, next};
+                        place_of(log, k), q->course, q->course + 1, at, next};
     transition F;
     advance(q, &t, seen ? &z : NULL, residual, f, &F);
     if (!known) { /* held, and as uncertain as it is large */

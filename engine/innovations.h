@@ -47,6 +47,8 @@ typedef struct {
     /* rows × 2, NaN where they are missing: mean from this row to the next, with the log's lag [V] */
     const double *voltage;
     const double *current; /* [A] */
+    const double *rounding; /* variance of each row that its rounding adds to its noise [A²], or null */
+    size_t first, whole;   /* of a part: its place in the whole log, and the rows of this; or 0 */
 } fo_log;
 
 /* What is known before the first row: standard deviations about the course. */
@@ -89,7 +91,7 @@ typedef struct {
     double own[FO_OWN];                 /* after the measurement */
     double P[FO_STATES][FO_STATES];     /* its covariance */
     double error[2], V[2][2];           /* innovation, inverse of its covariance */
-    double R[2][2];                     /* covariance of the noise */
+    double noise[2][2];                 /* covariance of the noise, without rounding */
     double K[FO_STATES][2];             /* Kalman gain */
     double H[2][FO_BY];                 /* derivatives of the current */
     double H_by[2][FO_BY][FO_T];        /* and theirs by the parameters of the model */

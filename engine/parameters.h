@@ -20,7 +20,7 @@
     NAME(L_d)          /* ln L_d; of a flux map: ln of its scale                  [H] or [1]  */ \
     NAME(L_q)          /* ln L_q                                                               */ \
     NAME(psi_f)        /* ln ψ                                                            [Wb] */ \
-    NAME(saturation_d) /* s: the current leaves 1 / (1 + s |i|/rated) of its flux        [1] */ \
+    NAME(saturation_d) /* s: the flux is L i (1 + s/2)/(1 + s |i|/rated)                  [1] */ \
     NAME(saturation_q)                                                                         \
     NAME(mobility)     /* acceleration of the angle over flux × current, 3/2 n_p²/J [1/(kg m²)] */
 

@@ -18,7 +18,9 @@ static const double slack = 2.0;
 /* ln: no sensor is thirty times as quiet as an ordinary one, although a flat log is. Assumed. */
 static const double quietest = 3.4;
 #define LARGEST_DAMPING 1e4
-enum { SETTLING = 12 }; /* evaluations with unrest, at least */
+/* A stage ends when this many evaluations in turn have not gained `worth` half squares. */
+enum { IDLE = 3 };
+static const double worth = 0.3;
 
 typedef struct {
     double value, slope[FO_UNKNOWNS], curvature[FO_UNKNOWNS];
@@ -221,26 +223,29 @@ static double level(const fo_prior *prior, const fo_posterior *at)
 enum { CALM = 25 };
 static const double calm_rows = 1.0;
 
-/* EM: the unrest of each stretch is its mean square change, with an inverse gamma prior about one. The
- * mean of their logarithms stays zero; the level of the acceleration takes it. */
-static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course *course,
-                         double *level)
+/* Scoring: the unrest of each stretch, with an inverse gamma prior about one. Within a stretch, the
+ * currents see the sum of the changes, so its information about ln unrest is half the square of what
+ * they tell. A step is at most fourfold. The mean of the logarithms stays zero; the level of the
+ * acceleration takes it. */
+static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course *course)
 {
+    static const double longest = 1.4;
     double sum = 0.0;
     for (size_t first = 0; first < record->rows; first += CALM) {
         const size_t end = first + CALM < record->rows ? first + CALM : record->rows;
-        double squares = 0.0;
-        for (size_t k = first; k < end; k++) squares += fmax(made[k].change, 0.0);
-        const double n = (double)(end - first);
-        const double now = course[first].unrest;
-        const double step = (calm_rows / now + squares) / (calm_rows + n);
-        const double unrest = now * step * step * step; /* over-relaxed: EM alone creeps */
+        const double own = calm_rows / course[first].unrest;
+        double slope = own - calm_rows, told = 0.0;
+        for (size_t k = first; k < end; k++) {
+            slope += made[k].change - 1.0;
+            told += made[k].told;
+        }
+        const double step = slope / (own + told * told);
+        const double unrest = course[first].unrest * exp(fmax(fmin(step, longest), -longest));
         for (size_t k = first; k < end; k++) course[k].unrest = unrest;
-        sum += n * log(unrest);
+        sum += (double)(end - first) * log(unrest);
     }
     const double mean = sum / (double)record->rows;
     for (size_t k = 0; k < record->rows; k++) course[k].unrest *= exp(-mean);
-    *level += 0.5 * mean;
 }
 
 /* −ln of the prior of the unrest. */
@@ -295,10 +300,13 @@ typedef struct {
     double last, most;
 } swing;
 
+static const double harmless = 0.02; /* a swing [1] */
+
 static double longest_swing(const swing *w, const fo_prior *prior, int k, double step)
 {
     if (w->last == 0.0) return longest(prior, k);
-    return step * w->last < 0.0 ? 0.5 * fabs(w->last) : fmin(2.0 * w->most, longest(prior, k));
+    if (step * w->last < 0.0) return fmax(0.5 * fabs(w->last), harmless);
+    return fmin(4.0 * w->most, longest(prior, k));
 }
 
 /* A step of the free parameters with damped curvature, no longer than allowed; returns what it is
@@ -346,6 +354,59 @@ typedef struct {
 /* A level, ln, or the colour may move so far until its information is evaluated again. */
 static const double stale = 0.5;
 
+/* A part of a log as a log. */
+typedef struct {
+    fo_log log;
+    fo_problem problem;
+    fo_filter *checkpoints;
+} part;
+
+static void part_of(const fo_work *w, size_t n, part *out)
+{
+    const fo_part *own = w->parts + n;
+    const fo_log *log = w->problem.log;
+    out->log = (fo_log){own->rows, log->sample_time, log->voltage + 2 * own->first,
+                        log->current + 2 * own->first,
+                        log->rounding ? log->rounding + own->first : NULL, own->first, log->rows};
+    out->problem = (fo_problem){&out->log, w->problem.machine, w->problem.start,
+                                w->problem.course + own->first};
+    out->checkpoints = w->checkpoints + own->first / FO_CHUNK + n;
+}
+
+/* Objective and information: the sum over the parts. */
+static bool sum_innovations(const fo_work *w, const double *parameters, bool variances,
+                            fo_likelihood *sum)
+{
+    memset(sum, 0, sizeof *sum);
+    for (size_t n = 0; n < w->count; n++) {
+        part own;
+        fo_likelihood at;
+        part_of(w, n, &own);
+        if (!fo_innovations(&own.problem, parameters, variances, &at, own.checkpoints)) return false;
+        sum->objective += at.objective;
+        sum->mean_square += at.mean_square * (double)at.counted;
+        sum->counted += at.counted;
+        for (int k = 0; k < FO_UNKNOWNS; k++) sum->score[k] += at.score[k];
+        for (int k = 0; k < FO_UNKNOWNS * FO_UNKNOWNS; k++)
+            sum->information[k] += at.information[k];
+    }
+    if (sum->counted) sum->mean_square /= (double)sum->counted;
+    return true;
+}
+
+/* Completes the score, and gives the next course and the squares. */
+static void sum_backward(const fo_work *w, const double *parameters, bool smoothing, bool squares,
+                         double *score)
+{
+    for (size_t n = 0; n < w->count; n++) {
+        part own;
+        part_of(w, n, &own);
+        const fo_outputs wanted = {.course = smoothing ? own.problem.course : NULL,
+                                   .squares = squares ? w->squares + w->parts[n].first : NULL};
+        fo_backward(&own.problem, parameters, own.checkpoints, w->rows, &wanted, score);
+    }
+}
+
 /* The likelihood without its score. */
 static bool evaluate(const fo_work *w, const double *parameters, variance_information *variances,
                      fo_posterior *out, fo_likelihood *at)
@@ -353,7 +414,7 @@ static bool evaluate(const fo_work *w, const double *parameters, variance_inform
     bool again = !variances->known;
     for (int k = 0; k < FO_VARIANCES; k++) again = again || fabs(parameters[k] - variances->at[k]) > stale;
     out->evaluations++;
-    if (!fo_innovations(&w->problem, parameters, again, at, w->checkpoints)) return false;
+    if (!sum_innovations(w, parameters, again, at)) return false;
     if (again) {
         memcpy(variances->at, parameters, sizeof variances->at);
         variances->known = true;
@@ -369,6 +430,43 @@ static bool evaluate(const fo_work *w, const double *parameters, variance_inform
     return isfinite(at->objective);
 }
 
+static void save_course(const fo_work *w)
+{
+    memcpy(w->before, w->problem.course, w->problem.log->rows * sizeof *w->before);
+}
+
+/* Takes half of the course's last step back: a Gauss–Newton step may be too long where the log hardly
+ * tells the angle. */
+static void halve_course(const fo_work *w)
+{
+    for (size_t k = 0; k < w->problem.log->rows; k++) {
+        fo_course *own = w->problem.course + k;
+        const fo_course *base = w->before + k;
+        for (int a = 0; a < 2; a++) own->flux[a] = 0.5 * (own->flux[a] + base->flux[a]);
+        own->angle = 0.5 * (own->angle + base->angle);
+        own->psi = 0.5 * (own->psi + base->psi);
+        own->unrest = sqrt(own->unrest * base->unrest);
+        own->doubt = sqrt(own->doubt * base->doubt);
+    }
+}
+
+/* Halvings of a step of the course, at most. */
+enum { HALVINGS = 8 };
+
+bool fo_settle(const fo_work *w, const double *parameters, int passes)
+{
+    fo_likelihood at;
+    if (!sum_innovations(w, parameters, false, &at)) return false;
+    for (int n = 0; n < passes; n++) {
+        const double limit = at.objective + slack;
+        save_course(w);
+        sum_backward(w, parameters, true, false, NULL);
+        for (int k = 0; k < HALVINGS; k++, halve_course(w))
+            if (sum_innovations(w, parameters, false, &at) && at.objective <= limit) break;
+    }
+    return true;
+}
+
 bool fo_learn(const fo_work *w, const fo_prior *prior, const fo_stage *stage, fo_posterior *out)
 {
     const selection s = selected(prior, stage->free);
@@ -379,18 +477,25 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, const fo_stage *stage, fo
     double g[MOST], H[MOST][MOST], tried[FO_UNKNOWNS], damping = 1e-3, expected = HUGE_VAL;
     swing swings[MOST] = {{0.0, 0.0}};
     bool based = false; /* out holds accepted parameters, g and H their derivatives */
+    double best = HUGE_VAL;
+    int idle = 0;
     memcpy(tried, out->parameters, sizeof tried);
     out->converged = false;
+    for (size_t k = 0; k < log->rows; k++) w->squares[k] = (fo_squares){1.0, 0.0, 2.0};
     for (size_t n = 0; n < stage->most; n++) {
         const bool good = evaluate(w, tried, &variances, out, &at);
         if (!good && !based) return false;
         penalty own = penalty_at(prior, tried, out->harmonics);
-        double objective = at.objective + own.value + course_penalty(course, log->rows);
+        const double rest = own.value + course_penalty(course, log->rows);
+        const double limit = out->objective + (stage->jumps ? slack : 0.0) - rest;
         const bool same = based && !memcmp(tried, out->parameters, sizeof tried);
-        if (based && !same && !(good && objective <= out->objective + (stage->jumps ? slack : 0.0))) {
+        const bool better = !based || same || (good && at.objective <= limit);
+        double objective = at.objective + rest;
+        if (!better) {
             /* Shorter. If no step is better about this course, it is the base about this course. */
             damping *= 10.0;
             memcpy(tried, out->parameters, sizeof tried);
+            if (stage->smoothing && stage->jumps) halve_course(w);
             if (damping < LARGEST_DAMPING)
                 expected = damped_step(&s, prior, g, H, damping, swings, tried);
             continue;
@@ -400,13 +505,14 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, const fo_stage *stage, fo
         based = true;
         memcpy(out->parameters, tried, sizeof tried);
         out->mean_square = at.mean_square;
-        /* The unrest creeps on when the parameters hardly move any more. */
-        out->converged = expected < stage->gain &&
-                         (stage->jumps ? n >= SETTLING : fabs(gained) < 10.0 * stage->gain);
-        const fo_outputs wanted = {.course = stage->smoothing ? course : NULL,
-                                   .squares = w->squares};
-        if (!out->converged)
-            fo_backward(&w->problem, tried, w->checkpoints, w->rows, &wanted, at.score);
+        idle = best - objective > worth ? 0 : idle + 1;
+        best = fmin(best, objective);
+        out->converged = stage->jumps ? idle >= IDLE
+                                      : expected < stage->gain && fabs(gained) < 10.0 * stage->gain;
+        if (!out->converged) {
+            save_course(w);
+            sum_backward(w, tried, stage->smoothing, true, at.score);
+        }
         reduced(&s, &at, &own, g, H);
         if (!invert(&s, H, out->covariance)) return false;
         /* The level moves once the first steps have removed what is not harmonic. */
@@ -420,11 +526,10 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, const fo_stage *stage, fo
         if (out->converged) break;
         learn_doubt(w->squares, log->rows, course);
         if (stage->jumps)
-            learn_unrest(log, w->squares, course, &out->parameters[FO_L_acceleration]);
+            learn_unrest(log, w->squares, course);
         if (stage->smoothing && !stage->jumps) { /* far from the end, a step needs its own base */
-            const fo_outputs none = {0};
             if (!evaluate(w, out->parameters, &variances, out, &at)) return false;
-            fo_backward(&w->problem, out->parameters, w->checkpoints, w->rows, &none, at.score);
+            sum_backward(w, out->parameters, false, false, at.score);
             out->objective = at.objective + own.value + course_penalty(course, log->rows);
             reduced(&s, &at, &own, g, H);
         }

@@ -26,13 +26,22 @@ typedef struct {
     bool converged;     /* false: the bound on evaluations ended it */
 } fo_posterior;
 
-/* A log, and what learning works on: `checkpoints` of its chunks, `rows` of a chunk, and `squares` of
- * each row. */
+/* Rows of a log that follow each other. */
+typedef struct {
+    size_t first, rows;
+} fo_part;
+
+/* A log, the parts on which it is learnt, and what learning works on: `checkpoints` of the chunks of the
+ * log and one more for each part, `rows` of a chunk, `squares` of each row, and the course `before` its
+ * last step. */
 typedef struct {
     fo_problem problem;
+    const fo_part *parts;
+    size_t count;
     fo_filter *checkpoints;
     fo_row *rows;
     fo_squares *squares;
+    fo_course *before;
 } fo_work;
 
 /* Learns from `out->parameters`, `out->harmonics` and the course: Levenberg–Marquardt on the parameters
@@ -46,6 +55,10 @@ typedef struct {
     bool smoothing, jumps;
 } fo_stage;
 bool fo_learn(const fo_work *work, const fo_prior *prior, const fo_stage *stage, fo_posterior *out);
+
+/* Smooths the course at fixed parameters, so many times. A course that makes the objective larger is taken
+ * back in part. */
+bool fo_settle(const fo_work *work, const double *parameters, int passes);
 
 /* Covariance at the likelihood. False: the curvature is not positive. */
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out);

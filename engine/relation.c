@@ -75,6 +75,10 @@ typedef struct {
 
 /* Least denominator of the saturation: beyond it, which no machine reaches, the flux is linear. */
 static const double least_left = 0.2;
+/* Share of the rated current at which the inductances are those of the parameters: there, the saturation
+ * does not change them. Where i_d is constant, a log tells one number only; with the inductance at no
+ * current, learning would crawl along a narrow valley. */
+static const double reference = 0.5;
 
 static mapped map_at(const fo_model *m, const double saturation[2], const double i[2])
 {
@@ -99,14 +103,15 @@ static mapped map_at(const fo_model *m, const double saturation[2], const double
         const double scale = m->scale[a].d[0], share = saturation[a] / m->machine.current;
         double left = 1.0, bend = 0.0;
         if (share != 0.0) {
-            const double below = 1.0 + share * fabs(i[a]);
-            left = below > least_left ? 1.0 / below : 1.0 / least_left;
-            bend = below > least_left ? -share * left * left * (i[a] < 0.0 ? -1.0 : 1.0) : 0.0;
+            const double below = 1.0 + share * fabs(i[a]), own = 1.0 + reference * saturation[a];
+            left = own / (below > least_left ? below : least_left);
+            bend = below > least_left ? -share * left / below * (i[a] < 0.0 ? -1.0 : 1.0) : 0.0;
         }
         f.flux[a] = scale * left * base[a];
         for (int b = 0; b < 2; b++) f.by[a][b] = scale * left * by[a][b];
         f.by[a][a] += scale * bend * base[a];
-        f.by_bend[a] = -f.flux[a] * left * fabs(i[a]) / m->machine.current;
+        f.by_bend[a] = f.flux[a] * (reference / (1.0 + reference * saturation[a]) -
+                                    fabs(i[a]) / (m->machine.current + saturation[a] * fabs(i[a])));
     }
     return f;
 }

@@ -48,6 +48,9 @@ class Log(ctypes.Structure):
         ("sample_time", ctypes.c_double),
         ("voltage", NUMBERS),
         ("current", NUMBERS),
+        ("rounding", NUMBERS),
+        ("first", ctypes.c_size_t),
+        ("whole", ctypes.c_size_t),
     )
 
 
@@ -109,7 +112,7 @@ ROW = np.dtype(
         ("P", float, (STATES, STATES)),
         ("error", float, 2),
         ("V", float, (2, 2)),
-        ("R", float, (2, 2)),
+        ("noise", float, (2, 2)),
         ("K", float, (STATES, 2)),
         ("H", float, (2, BY)),
         ("H_by", float, (2, BY, len(MODEL))),

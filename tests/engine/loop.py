@@ -59,11 +59,16 @@ class Record:
 
 
 def simulated(
-    conditions: Conditions, drives: int, seed: int = 0, jumps: Array | None = None
+    conditions: Conditions,
+    drives: int,
+    seed: int = 0,
+    jumps: Array | None = None,
+    loads: tuple[tuple[float, ...], tuple[float, ...]] = LOADS,
 ) -> Record:
     """Simulate drives that differ in noise, speed and first angle.
 
-    `jumps`: an acceleration of each row [rad/s²], besides the random walk.
+    `jumps`: an acceleration of each row [rad/s²], besides the random walk. `loads`: time [s] and
+    set point of i_q [A].
     """
     c, rng = conditions, np.random.default_rng(seed)
     h, rows = c.sample_time, round(c.duration / c.sample_time)
@@ -85,7 +90,7 @@ def simulated(
         return (flux.real - c.psi) / c.L_d + 1j * flux.imag / c.L_q
 
     def wanted(t: float) -> complex:
-        return complex(c.i_d, np.interp(t, *LOADS))
+        return complex(c.i_d, np.interp(t, *loads))
 
     flux = flux_of(np.full(drives, wanted(0.0)))
     own = Controller(c, angle, flux * np.exp(1j * angle))

@@ -23,6 +23,8 @@ from engine.likelihood import (
     course_of,
     library,
     likelihood,
+    log_of,
+    pointer,
     settled,
 )
 from engine.loop import INTERIOR, SURFACE, Conditions, Record, simulated
@@ -33,7 +35,7 @@ H = 1e-4
 ANGLE, PSI = 2, 4
 #: Of the likelihood: levels, loss and offsets, and the rest with its bases, for each hypothesis on
 #: the sensors; the unrest.
-MOST_EVALUATIONS = 2 * (30 + 2 * 60) + 40
+MOST_EVALUATIONS = 2 * (30 + 2 * 60) + 60
 #: Drives of a kind. The mean of (error/σ)² over them scatters by about √(2/12) in each drive.
 DRIVES = 4
 KINDS = {"surface": SURFACE, "interior": INTERIOR}
@@ -207,6 +209,52 @@ def test_outliers_count_for_nothing():
     assert np.sqrt(np.mean(error**2)) < 0.3
     assert abs(e.value("L_q") - np.log(6e-4)) < 3.5 * e.std("L_q")
     assert abs(e.value("noise") - np.log(0.03)) < 0.1
+
+
+def rounding_of(current: Complex) -> Array:
+    """Return the variance that rounding adds to each row."""
+    variances = np.zeros(len(current))
+    with log_of(current, current, H) as log:
+        library().fo_rounding_of(ctypes.byref(log), pointer(variances))
+    return variances
+
+
+def test_a_run_of_equal_readings_tells_as_much_as_one():
+    """n readings of a uniform error over the step at their ends: n times its variance, step²/12."""
+    held = np.array([0.0, 1.0, 2.0, 2.0, 2.0, 5.0, 5.0, 6.0], complex)
+    steps = {2: (1.0 + 9.0) / 2, 5: (9.0 + 1.0) / 2}
+    expected = np.zeros(8)
+    expected[2:5], expected[5:7] = 3 * steps[2] / 12, 2 * steps[5] / 12
+    assert rounding_of(held) == pytest.approx(expected)
+    assert (rounding_of(np.ones(9, complex)) == 0).all()  # it never ends
+
+
+def test_readings_that_hardly_change_do_not_make_the_estimate_sure():
+    """A coarse converter without noise while hardly any current flows: its error is no noise."""
+    calm = replace(SURFACE, noise=1e-4, acceleration=5.0, duration=0.3)
+    calm = replace(calm, loss=0.4, knee=0.1)
+    step, squares = 0.05, []
+    for seed in range(2):
+        r = simulated(calm, 1, seed=seed, loads=((0.0, 1.0), (0.0, 0.3)))
+        current = step * (np.round(r.current.real / step) + 1j * np.round(r.current.imag / step))
+        file = file_of(0.4, 5.5e-4, 5.5e-4, 0.012, 12.0)
+        e = estimate(r.voltage[:, 0], current[:, 0], H, file, course(r, 0))
+        error = degrees(e.rows["angle"], r.angle[:, 0]) / np.degrees(e.rows["angle_std"])
+        squares.append(np.mean(error**2))
+    assert np.mean(squares) < 1.5
+
+
+@pytest.mark.slow
+def test_a_long_log_is_learnt_on_parts_first():
+    """The first stages see 8192 rows of 20,000."""
+    c = replace(SURFACE, duration=2.0)
+    record = simulated(c, 1, seed=5)
+    file = file_of(1.15 * c.R, 0.85 * c.L_d, 0.85 * c.L_q, 1.1 * c.psi, 12.0)
+    e = estimate(record.voltage[:, 0], record.current[:, 0], H, file, course(record, 0))
+    error = degrees(e.rows["angle"], record.angle[:, 0])
+    assert np.sqrt(np.mean(error**2)) < 0.3
+    assert np.mean((error / np.degrees(e.rows["angle_std"])) ** 2) < 3
+    assert abs(e.value("L_q") - np.log(c.L_q)) < 3.5 * e.std("L_q")
 
 
 def attempt(u: Complex, i: Complex) -> Estimate | None:

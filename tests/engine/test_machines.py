@@ -96,8 +96,9 @@ def test_a_saturated_machine_without_magnets(kind):
     assert np.mean((error / np.degrees(e.rows["angle_std"])) ** 2) < 4
     true = {"resistance": np.log(0.54)}
     if kind == "falling":
-        true |= {"L_d": np.log(46e-3), "L_q": np.log(6.8e-3)}
         true |= {"saturation_d": 0.25, "saturation_q": 0.1}
+        for axis, value in (("d", 46e-3), ("q", 6.8e-3)):  # at half the rated current
+            true[f"L_{axis}"] = np.log(value / (1 + 0.5 * true[f"saturation_{axis}"]))
     else:
         true |= {"L_d": 0.0, "L_q": 0.0}
     for name, value in true.items():
