@@ -208,13 +208,14 @@ static void set_course(const fo_problem *problem, const double *angle, const dou
 }
 
 /* First levels, the loss and the sensors, about the given course, whose errors are those of the voltage for
- * now. */
-static bool learn_levels(const fo_work *w, const fo_prior *prior, fo_posterior *out)
+ * now; if it is `sure`, the voltage has no larger errors than that of a poor drive. */
+static bool learn_levels(const fo_work *w, const fo_prior *prior, bool sure, fo_posterior *out)
 {
     static const int early[] = {FO_L_noise, FO_L_acceleration, FO_L_voltage, FO_L_drift, FO_L_loss,
                                 FO_L_knee, FO_L_offset_alpha, FO_L_offset_beta, FO_L_range};
     bool some[FO_L] = {false};
     for (size_t k = 0; k < sizeof early / sizeof *early; k++) some[early[k]] = true;
+    if (sure) some[FO_L_voltage] = some[FO_L_drift] = false;
     fo_prior first = *prior;
     first.harmonics = 0.0;
     const fo_stage stage = {some, rough, FIRST, false, false};
@@ -243,23 +244,28 @@ static bool learn_all(const fo_work *w, const fo_prior *prior, fo_posterior *out
     return fo_learn(w, prior, &stage, out);
 }
 
-/* Both hypotheses on the sensors of the current, with and without a limit of their range. */
-enum { HYPOTHESES = 2 };
+/* Starts of the one objective: with and without a limit of the range of the current sensors, and `sure` that
+ * the voltage has no larger errors than that of a poor drive. */
+typedef struct {
+    bool range, sure;
+} start_of;
+static const start_of starts[] = {{false, false}, {false, true}, {true, false}};
+enum { STARTS = sizeof starts / sizeof *starts };
 
 /* Learning begins on parts of a long log: so many, and so many rows in all. */
 enum { PARTS = 8, LEARNT = 8192 };
 /* Passes of smoothing of the rows between them. */
 enum { ROUGH = 2 };
 
-/* What learning needs: for each hypothesis its prior, its posterior and a course. */
+/* What learning needs: for each start its prior, its posterior and a course. */
 typedef struct {
     const fo_file *file;
     fo_work work;
     fo_part parts[PARTS], whole;
     size_t count;
-    fo_prior priors[HYPOTHESES];
-    fo_posterior posteriors[HYPOTHESES];
-    fo_course *courses[HYPOTHESES];
+    fo_prior priors[STARTS];
+    fo_posterior posteriors[STARTS];
+    fo_course *courses[STARTS];
 } learning;
 
 /* Parts of equal length at equal distances; the one that contains the largest current, or is the nearest
@@ -316,24 +322,32 @@ void fo_rounding_of(const fo_log *record, double *rounding)
     }
 }
 
-/* Learns the hypotheses on parts of the log; the smaller objective counts. */
+/* First values of a start, and its course. */
+static void begin_start(learning *l, int n, const double *angle, const double *parameters)
+{
+    fo_posterior *out = &l->posteriors[n];
+    fo_work *w = &l->work;
+    begin(w->problem.log, l->file, &l->priors[n], parameters, out);
+    w->problem.course = l->courses[n];
+    w->parts = l->parts;
+    w->count = l->count;
+    begin_offset(w->problem.log, angle, &l->priors[n], out->parameters);
+    set_course(&w->problem, angle, out->parameters);
+}
+
+/* Learns from all starts, on parts of the log; the smallest objective counts. */
 static int learn_parts(learning *l, const double *angle, const double *parameters)
 {
     fo_work *w = &l->work;
     int best = -1;
-    put(&l->priors[0], FO_L_range, 0.0, 0.0);
-    w->parts = l->parts;
-    w->count = l->count;
-    for (int n = 0; n < HYPOTHESES; n++) {
+    for (int n = 0; n < STARTS; n++) {
         fo_posterior *out = &l->posteriors[n];
-        begin(w->problem.log, l->file, &l->priors[n], parameters, out);
-        w->problem.course = l->courses[n];
-        begin_offset(w->problem.log, angle, &l->priors[n], out->parameters);
-        set_course(&w->problem, angle, out->parameters);
-        bool learnt = learn_levels(w, &l->priors[n], out);
+        if (!starts[n].range) put(&l->priors[n], FO_L_range, 0.0, 0.0);
+        begin_start(l, n, angle, parameters);
+        bool learnt = learn_levels(w, &l->priors[n], starts[n].sure, out);
         /* A range beyond the largest current is none. */
         if (learnt && best >= 0 && out->parameters[FO_L_range] > largest_current(w->problem.log))
-            break;
+            continue;
         learnt = learnt && learn_machine(w, &l->priors[n], out);
         if (learnt && (best < 0 || out->objective < l->posteriors[best].objective)) best = n;
     }
@@ -354,32 +368,38 @@ static void set_rest(const fo_problem *problem, const double *angle, const doubl
     }
 }
 
+/* Learns all of a start on the whole log, after its machine on parts. `spare`: a course. */
+static bool learn_whole(learning *l, int n, const double *angle, fo_course *spare)
+{
+    fo_work *w = &l->work;
+    fo_posterior *own = &l->posteriors[n];
+    w->problem.course = l->courses[n];
+    w->parts = &l->whole;
+    w->count = 1;
+    if (l->count > 1) {
+        set_rest(&w->problem, angle, own->parameters, l->parts, l->count, spare);
+        /* The course of the other rows is rough yet: first with large levels. */
+        double p[FO_UNKNOWNS];
+        memcpy(p, own->parameters, sizeof p);
+        begin_levels(w->problem.log, l->file, &l->priors[n], p);
+        if (!fo_settle(w, p, ROUGH) || !fo_settle(w, own->parameters, ROUGH)) return false;
+    }
+    return learn_all(w, &l->priors[n], own);
+}
+
 static bool learn(learning *l, const double *angle, const double *parameters, fo_posterior *out,
                   fo_smoothed *rows)
 {
     fo_work *w = &l->work;
     const int best = learn_parts(l, angle, parameters);
     if (best < 0) return false;
-    fo_posterior *own = &l->posteriors[best];
-    const fo_prior *prior = &l->priors[best];
-    w->problem.course = l->courses[best];
-    if (l->count > 1) {
-        set_rest(&w->problem, angle, own->parameters, l->parts, l->count, l->courses[best ? 0 : 1]);
-        w->parts = &l->whole;
-        w->count = 1;
-        /* The course of the other rows is rough yet: first with large levels. */
-        double p[FO_UNKNOWNS];
-        memcpy(p, own->parameters, sizeof p);
-        begin_levels(w->problem.log, l->file, prior, p);
-        if (!fo_settle(w, p, ROUGH) || !fo_settle(w, own->parameters, ROUGH)) return false;
-    }
-    const bool learnt = learn_all(w, prior, own);
-    *out = *own;
+    const bool learnt = learn_whole(l, best, angle, l->courses[best ? 0 : 1]);
+    *out = l->posteriors[best];
     out->evaluations = 0;
-    for (int n = 0; n < HYPOTHESES; n++) out->evaluations += l->posteriors[n].evaluations;
+    for (int n = 0; n < STARTS; n++) out->evaluations += l->posteriors[n].evaluations;
     fo_likelihood last;
     if (!learnt || !fo_innovations(&w->problem, out->parameters, true, &last, w->checkpoints) ||
-        !fo_covariance(&last, prior, out))
+        !fo_covariance(&last, &l->priors[best], out))
         return false;
     const fo_outputs wanted = {.smoothed = rows, .covariance = out->covariance};
     fo_backward(&w->problem, out->parameters, w->checkpoints, w->rows, &wanted, NULL);
@@ -397,7 +417,7 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
     fo_log log = *record;
     log.rounding = rounding;
     learning l = {.file = file, .whole = {0, count}};
-    for (int n = 0; n < HYPOTHESES; n++) l.priors[n] = prior;
+    for (int n = 0; n < STARTS; n++) l.priors[n] = prior;
     l.count = parts_of(record, l.parts);
     l.work = (fo_work){.problem = {&log, &machine, &start, NULL},
                        .checkpoints = malloc((fo_checkpoints(count) + PARTS) * sizeof(fo_filter)),
@@ -405,7 +425,7 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
                        .squares = malloc(count * sizeof(fo_squares)),
                        .before = malloc(count * sizeof(fo_course))};
     bool memory = rounding && l.work.checkpoints && l.work.rows && l.work.squares && l.work.before;
-    for (int n = 0; n < HYPOTHESES; n++) {
+    for (int n = 0; n < STARTS; n++) {
         l.courses[n] = malloc(count * sizeof *l.courses[n]);
         memory = memory && l.courses[n];
     }
@@ -415,7 +435,7 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
         outcome = learn(&l, angle, parameters, posterior, rows) ? FO_ESTIMATED : FO_NO_ESTIMATE;
     }
     free(rounding);
-    for (int n = 0; n < HYPOTHESES; n++) free(l.courses[n]);
+    for (int n = 0; n < STARTS; n++) free(l.courses[n]);
     free(l.work.checkpoints);
     free(l.work.rows);
     free(l.work.squares);
