@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "transition.h"
+
 /* Bryson–Frazier form: x_s = x − P λ and P_s = P − P Λ P. The adjoint λ sums up the later
  * innovations; Λ is its covariance. No covariance is inverted, so a state may have no process noise.
  * λ is also the derivative of the objective of the later rows by the predicted state, and
@@ -22,23 +24,10 @@ static double dot(const double *x, const double *y)
     return sum;
 }
 
-/* M ← Fᵀ x, column by column of x. */
-static void transition_transposed(const fo_elements *elements, const double F[FO_ELEMENTS],
-                                  double x[S][S], double M[S][S])
-{
-    memset(M, 0, sizeof(double) * S * S);
-    for (int n = 0; n < elements->count; n++) {
-        const int k = elements->at[n];
-        const double f = F[k], *from = x[fo_pattern[k][0]];
-        double *to = M[fo_pattern[k][1]];
-        for (int c = 0; c < S; c++) to[c] += f * from[c];
-    }
-}
-
-/* What an interval adds to the score: ∂F and the process noise. `before`, `after`: adjoints before and
- * after the interval; `half`: Λ F after it. */
+/* What an interval adds to the score: ∂F and the process noise. `after`, `before`: λ at its end and its
+ * begin; `excess`: diagonal of Λ − λ λᵀ at its end; `half`: Λ F. */
 static void score_of_transition(const fo_model *m, double h, const fo_course *at, const fo_row *row,
-                                const fo_elements *elements, const adjoint *after,
+                                const fo_elements *elements, const double after[S], const double excess[S],
                                 const double before[S], double half[S][S], double *score)
 {
     double P_before[S];
@@ -48,7 +37,7 @@ static void score_of_transition(const fo_model *m, double h, const fo_course *at
         const int k = elements->at[n], r = fo_pattern[k][0], c = fo_pattern[k][1];
         if (k >= FO_BENT && r < FO_NOISE) continue;
         /* (P Fᵀ (Λ − λ λᵀ))_cr */
-        const double by = dot(row->P[c], half[r]) - P_before[c] * after->lambda[r];
+        const double by = dot(row->P[c], half[r]) - P_before[c] * after[r];
         if (k < FO_BENT) {
             for (int j = 0; j < FO_T; j++) model[j] += by * row->F_by[k][j];
         } else if (c == r) {
@@ -60,9 +49,6 @@ static void score_of_transition(const fo_model *m, double h, const fo_course *at
             for (int j = 0; j < FO_T; j++) model[j] -= m->colour * by * row->H_by[a][b][j];
         }
     }
-    double excess[S]; /* of Λ − λ λᵀ */
-    for (int r = 0; r < S; r++)
-        excess[r] = after->Lambda[r][r] - after->lambda[r] * after->lambda[r];
     const double passed = fabs(h);
     score[FO_L_acceleration] += passed * at->unrest * m->acceleration * excess[FO_ACCELERATION];
     for (int a = 0; a < 2; a++) {
@@ -79,30 +65,19 @@ static void score_of_transition(const fo_model *m, double h, const fo_course *at
 static void pass_transition(const fo_model *m, double h, const fo_course *at, const fo_row *row,
                             const fo_elements *elements, adjoint *a, double *score)
 {
-    double M[S][S], T[S][S], before[S] = {0.0};
-    transition_transposed(elements, row->F, a->Lambda, M);
-    for (int n = 0; n < elements->count; n++) {
-        const int k = elements->at[n];
-        before[fo_pattern[k][1]] += row->F[k] * a->lambda[fo_pattern[k][0]];
-    }
-    for (int r = 0; r < S; r++)
-        for (int c = 0; c < S; c++) T[r][c] = M[c][r];
-    if (score) score_of_transition(m, h, at, row, elements, a, before, T, score);
-    transition_transposed(elements, row->F, T, M);
-    for (int r = 0; r < S; r++)
-        for (int c = r; c < S; c++) a->Lambda[r][c] = a->Lambda[c][r] = M[r][c];
-    memcpy(a->lambda, before, sizeof before);
+    double half[S][S], after[S], excess[S];
+    memcpy(after, a->lambda, sizeof after);
+    for (int r = 0; r < S; r++) excess[r] = a->Lambda[r][r] - after[r] * after[r];
+    fo_times(elements, row->F, true, 1, after, a->lambda);
+    fo_on_both_sides(elements, row->F, true, a->Lambda, half);
+    if (score)
+        score_of_transition(m, h, at, row, elements, after, excess, a->lambda, half, score);
 }
 
 static void pass_transition_by(const fo_row *row, const fo_elements *elements, adjoint *a)
 {
-    double moved[S][FO_SENSITIVE] = {{0.0}};
-    for (int n = 0; n < elements->count; n++) {
-        const int k = elements->at[n];
-        const double f = row->F[k], *from = a->by[fo_pattern[k][0]];
-        double *to = moved[fo_pattern[k][1]];
-        for (int j = 0; j < FO_SENSITIVE; j++) to[j] += f * from[j];
-    }
+    double moved[S][FO_SENSITIVE];
+    fo_times(elements, row->F, true, FO_SENSITIVE, a->by[0], moved[0]);
     memcpy(a->by, moved, sizeof moved);
 }
 

@@ -14,11 +14,12 @@ typedef struct {
     double speed, speed_std; /* [rad/s] */
 } fo_smoothed;
 
-/* Expected squares at a row, over their variances in the filter. */
+/* What all rows say about the errors at a row. Squares are expected ones, divided by the variance that the
+ * filter assumes. */
 typedef struct {
-    double change; /* of the acceleration until the next row */
-    double told;   /* share of its variance that the currents tell */
-    double noise;  /* of both components of the current's noise; 2 if its level is right */
+    double change; /* square of the change of the acceleration until the next row */
+    double told;   /* share of that variance which the currents tell */
+    double noise;  /* squares of both components of the current's noise; 2 if its level is right */
 } fo_squares;
 
 /* What is wanted of the rows; null: nothing. */

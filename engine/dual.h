@@ -1,4 +1,4 @@
-/* A number with its derivatives by the parameters of the model: forward differentiation.
+/* Forward differentiation: a number with its derivatives by the parameters of the model.
  *
  * The score of a likelihood must be the exact derivative of the likelihood that the code computes. With
  * these numbers the linearised model is written once. d[0] is the value, d[1 + k] the derivative by

@@ -10,9 +10,9 @@ enum {
     MOST = 60,        /* of the second */
     LAST = 60         /* of the third: what is left of the unrest hardly moves the rest */
 };
-/* Half squares: a stage ends when a step is expected to gain less. A parameter that is d standard
- * deviations off costs d²/2, so it remains within 0.3 of them. */
-static const double rough = 5.0, coarse = 2.0, fine = 0.05;
+/* Half squares: a stage ends when it gains less. A parameter that is d standard deviations off costs d²/2,
+ * so after the last stage it remains within 0.8 of them. */
+static const double rough = 5.0, coarse = 2.0, fine = 0.3;
 
 /* Share of the flux by which magnets change in a second (root of it): their temperature changes by 30 K
  * in ten minutes. A cage's flux changes as its inductances do. A reluctance machine has none. */
@@ -207,8 +207,8 @@ static void set_course(const fo_problem *problem, const double *angle, const dou
     }
 }
 
-/* First levels, the loss and the sensors, about the given course, whose errors are those of the voltage for
- * now; if it is `sure`, the voltage has no larger errors than that of a poor drive. */
+/* First levels, the loss and the sensors, about the given course. Its errors count as errors of the voltage
+ * for now; if the voltage is `sure`, its errors are those of a poor drive. */
 static bool learn_levels(const fo_work *w, const fo_prior *prior, bool sure, fo_posterior *out)
 {
     static const int early[] = {FO_L_noise, FO_L_acceleration, FO_L_voltage, FO_L_drift, FO_L_loss,
@@ -237,15 +237,15 @@ static bool learn_machine(const fo_work *w, const fo_prior *prior, fo_posterior 
     return fo_learn(w, prior, &stage, out);
 }
 
-/* All, with the unrest of the acceleration, which takes its level along. */
+/* All, with the unrest of the acceleration. */
 static bool learn_all(const fo_work *w, const fo_prior *prior, fo_posterior *out)
 {
     const fo_stage stage = {NULL, fine, LAST, true, true};
     return fo_learn(w, prior, &stage, out);
 }
 
-/* Starts of the one objective: with and without a limit of the range of the current sensors, and `sure` that
- * the voltage has no larger errors than that of a poor drive. */
+/* Starts of the one objective: with and without a limit of the range of the current sensors, and with a
+ * voltage that is `sure` (see learn_levels). */
 typedef struct {
     bool range, sure;
 } start_of;
@@ -306,7 +306,7 @@ void fo_rounding_of(const fo_log *record, double *rounding)
 {
     for (size_t first = 0, end; first < record->rows; first = end) {
         for (end = first + 1; end < record->rows && square_of_step(record, end) == 0.0;) end++;
-        /* The steps at both ends of the run; NaN if a current is missing there. */
+        /* The steps at both ends of the run, unless a current is missing there. */
         double sum = 0.0, steps = 0.0;
         for (int n = 0; n < 2; n++) {
             const size_t at = n ? end : first;
@@ -345,7 +345,7 @@ static int learn_parts(learning *l, const double *angle, const double *parameter
         if (!starts[n].range) put(&l->priors[n], FO_L_range, 0.0, 0.0);
         begin_start(l, n, angle, parameters);
         bool learnt = learn_levels(w, &l->priors[n], starts[n].sure, out);
-        /* A range beyond the largest current is none. */
+        /* Beyond the largest current, a range changes nothing: this start is like the first. */
         if (learnt && best >= 0 && out->parameters[FO_L_range] > largest_current(w->problem.log))
             continue;
         learnt = learnt && learn_machine(w, &l->priors[n], out);

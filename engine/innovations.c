@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "dual.h"
+#include "transition.h"
 
 enum { A = FO_ALPHA, B = FO_BETA, S = FO_STATES };
 
@@ -64,17 +65,17 @@ typedef struct {
     const fo_course *course; /* of the row, and the next */
     const fo_model *m;
     fo_elements elements;
-    bool sensitive;     /* derivatives of the states are wanted */
+    bool sensitive;         /* derivatives of the states are wanted */
     by_variance *variances; /* or null */
     size_t skipped;
-    fo_likelihood *out; /* or null */
+    fo_likelihood *out;     /* or null */
 } pass;
 
 /* A measurement update. */
 typedef struct {
     double noise[2][2], R[2][2]; /* R: with that of rounding */
-    double e[2], S[2][2], V[2][2], w[2], K[S][2]; /* V: inverse of S; w = V e */
-    double det;
+    double e[2], V[2][2], w[2], K[S][2]; /* V: inverse of the covariance S of e; w = V e */
+    double det;                          /* of S */
     fo_dual H[2][FO_BY];
     double by_model[2][FO_T]; /* derivatives of e, of the state held */
     double angle;             /* of the state before it, from the course */
@@ -149,8 +150,8 @@ static double slope_times(double H[2][FO_BY], int a, double x[S][2], int b)
     return sum;
 }
 
-/* Measurement update of the derivatives by levels and colour, with ∂K = (∂(P Hᵀ) − K ∂S) S⁻¹, and their part
- * of the information, ∂eᵀ S⁻¹ ∂e + ½ tr(S⁻¹ ∂S S⁻¹ ∂S). */
+/* Measurement update of the derivatives by levels and colour, with ∂K = (∂(P Hᵀ) − K ∂S) S⁻¹, and their
+ * part of the information, ∂eᵀ S⁻¹ ∂e + ½ tr(S⁻¹ ∂S S⁻¹ ∂S). */
 static void measure_variances(const pass *q, double H[2][FO_BY], const update *z, bool counted)
 {
     double VS[FO_VARIANCES][2][2], e[FO_VARIANCES][2];
@@ -191,7 +192,7 @@ static bool measure(const pass *q, const double measured[2], double rounding,
                     const fo_prediction *p, fo_filter *f, bool counted, update *z)
 {
     const fo_model *m = q->m;
-    double d[FO_BY], H[2][FO_BY], PH[S][2];
+    double d[FO_BY], H[2][FO_BY], PH[S][2], own[2][2];
     deviation(q->course, f->x, d);
     z->angle = d[FO_BY_ANGLE];
     for (int a = 0; a < 2; a++) {
@@ -208,13 +209,13 @@ static bool measure(const pass *q, const double measured[2], double rounding,
         for (int b = a; b < 2; b++) {
             z->noise[a][b] = z->noise[b][a] = q->course->doubt * m->noise * noise_of(p, a, b);
             z->R[a][b] = z->R[b][a] = z->noise[a][b] + (a == b ? rounding : 0.0);
-            z->S[a][b] = z->S[b][a] = z->R[a][b] + slope_times(H, a, PH, b);
+            own[a][b] = own[b][a] = z->R[a][b] + slope_times(H, a, PH, b);
         }
-    z->det = z->S[0][0] * z->S[1][1] - z->S[0][1] * z->S[0][1];
+    z->det = own[0][0] * own[1][1] - own[0][1] * own[0][1];
     if (!(z->det > 0.0) || !isfinite(z->det) || !isfinite(z->e[0])) return false;
-    z->V[0][0] = z->S[1][1] / z->det;
-    z->V[0][1] = z->V[1][0] = -z->S[0][1] / z->det;
-    z->V[1][1] = z->S[0][0] / z->det;
+    z->V[0][0] = own[1][1] / z->det;
+    z->V[0][1] = z->V[1][0] = -own[0][1] / z->det;
+    z->V[1][1] = own[0][0] / z->det;
     for (int a = 0; a < 2; a++) z->w[a] = z->V[a][0] * z->e[0] + z->V[a][1] * z->e[1];
     for (int r = 0; r < S; r++) {
         for (int a = 0; a < 2; a++) z->K[r][a] = PH[r][0] * z->V[0][a] + PH[r][1] * z->V[1][a];
@@ -276,23 +277,8 @@ typedef struct {
 /* P ← F P Fᵀ */
 static void move_covariance(const fo_elements *elements, const double F[FO_ELEMENTS], double P[S][S])
 {
-    double M[S][S] = {{0.0}}, T[S][S] = {{0.0}};
-    for (int n = 0; n < elements->count; n++) {
-        const int k = elements->at[n];
-        const double f = F[k], *from = P[fo_pattern[k][1]];
-        double *to = M[fo_pattern[k][0]];
-        for (int c = 0; c < S; c++) to[c] += f * from[c];
-    }
-    for (int r = 0; r < S; r++)
-        for (int c = 0; c < S; c++) P[r][c] = M[c][r];
-    for (int n = 0; n < elements->count; n++) {
-        const int k = elements->at[n];
-        const double f = F[k], *from = P[fo_pattern[k][1]];
-        double *to = T[fo_pattern[k][0]];
-        for (int c = 0; c < S; c++) to[c] += f * from[c];
-    }
-    for (int r = 0; r < S; r++)
-        for (int c = r; c < S; c++) P[r][c] = P[c][r] = T[r][c];
+    double half[S][S];
+    fo_on_both_sides(elements, F, false, P, half);
 }
 
 /* An interval: its voltage, the derivative of this by the lag, and both rows of the course. */
@@ -652,7 +638,7 @@ static void add_noise(const pass *q, double h, bool measured, fo_filter *f)
 static void move_variances(const pass *q, const update *z, const double residual[2],
                            const double F[FO_ELEMENTS], fo_filter *f)
 {
-    double slope[2][2][S] = {{{0.0}}}, moved[2][2][S] = {{{0.0}}}; /* rows of ∂F; ∂F P Fᵀ */
+    double slope[2][2][S] = {{{0.0}}}, moved[2][2][S]; /* rows of ∂F; ∂F P Fᵀ */
     for (int a = 0; a < 2; a++) {
         slope[0][a][FO_NOISE + a] = 1.0;
         if (!z) continue;
@@ -664,18 +650,12 @@ static void move_variances(const pass *q, const update *z, const double residual
             double P[S] = {0.0};
             for (int r = 0; r < S; r++)
                 for (int c = 0; c < S; c++) P[c] += slope[n][a][r] * f->P[r][c];
-            for (int e = 0; e < q->elements.count; e++) {
-                const int k = q->elements.at[e];
-                moved[n][a][fo_pattern[k][0]] += F[k] * P[fo_pattern[k][1]];
-            }
+            fo_times(&q->elements, F, false, 1, P, moved[n][a]);
         }
     for (int l = 0; l < FO_VARIANCES; l++) {
         by_variance *own = q->variances + l;
-        double next[S] = {0.0};
-        for (int n = 0; n < q->elements.count; n++) {
-            const int k = q->elements.at[n];
-            next[fo_pattern[k][0]] += F[k] * own->x[fo_pattern[k][1]];
-        }
+        double next[S];
+        fo_times(&q->elements, F, false, 1, own->x, next);
         memcpy(own->x, next, sizeof next);
         move_covariance(&q->elements, F, own->P);
         const int n = l - FO_LEVELS;
@@ -704,13 +684,8 @@ static void advance(const pass *q, const interval *t, const update *z, const dou
     move_rotor(m, t, &g, d, f->x, &angle, &speed, &psi, F);
     put_values(m, t->h, z, F);
     if (q->sensitive) {
-        double next[S][FO_SENSITIVE] = {{0.0}};
-        for (int n = 0; n < q->elements.count; n++) {
-            const int k = q->elements.at[n];
-            const double value = F->F[k], *from = f->by[fo_pattern[k][1]];
-            double *to = next[fo_pattern[k][0]];
-            for (int j = 0; j < FO_SENSITIVE; j++) to[j] += value * from[j];
-        }
+        double next[S][FO_SENSITIVE];
+        fo_times(&q->elements, F->F, false, FO_SENSITIVE, f->by[0], next[0]);
         move_means(m, t, &e, &g, z, next);
         add_of_model(next[FO_FLUX], &flux[A]);
         add_of_model(next[FO_FLUX + 1], &flux[B]);
@@ -741,7 +716,7 @@ static void advance(const pass *q, const interval *t, const update *z, const dou
     add_noise(q, t->h, z, f);
 }
 
-/* Keeps a row after its measurement update, without its transition. */
+/* Keeps what the filter knows after the measurement update of a row. */
 static void keep_row(const fo_filter *f, const update *z, double error_by[2][FO_SENSITIVE],
                      bool sensitive, fo_row *row)
 {

@@ -18,9 +18,9 @@ static const double slack = 2.0;
 /* ln: no sensor is thirty times as quiet as an ordinary one, although a flat log is. Assumed. */
 static const double quietest = 3.4;
 #define LARGEST_DAMPING 1e4
-/* A stage ends when this many evaluations in turn have not gained `worth` half squares. */
+/* A stage with jumps ends when so many evaluations in turn have gained less than its `gain`: what a step is
+ * expected to gain says nothing of the unrest. */
 enum { IDLE = 3 };
-static const double worth = 0.3;
 
 typedef struct {
     double value, slope[FO_UNKNOWNS], curvature[FO_UNKNOWNS];
@@ -223,10 +223,9 @@ static double level(const fo_prior *prior, const fo_posterior *at)
 enum { CALM = 25 };
 static const double calm_rows = 1.0;
 
-/* Scoring: the unrest of each stretch, with an inverse gamma prior about one. Within a stretch, the
- * currents see the sum of the changes, so its information about ln unrest is half the square of what
- * they tell. A step is at most fourfold. The mean of the logarithms stays zero; the level of the
- * acceleration takes it. */
+/* Scoring: the unrest of each stretch, with an inverse gamma prior about one. The currents see the sum of
+ * the changes in a stretch, so the information about its ln unrest is ½ (Σ told)². A step is at most
+ * fourfold. The mean of the logarithms stays zero, since the level of the acceleration is a parameter. */
 static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course *course)
 {
     static const double longest = 1.4;
@@ -295,12 +294,14 @@ static bool is_level(int k)
 
 /* Last step of a parameter whose information is far from its curvature where the log hardly determines
  * it, and how long the next may be: logarithms of levels, and of a loss that is nearly zero, would
- * swing to and fro. A step that turns back is at most half of the last, the next twice as long. */
+ * swing to and fro. A step that turns back is at most half of the last, the next four times as
+ * long. Swings by a fiftieth do no harm; a smaller bound would hold a level that has rested and must
+ * move. */
 typedef struct {
     double last, most;
 } swing;
 
-static const double harmless = 0.02; /* a swing [1] */
+static const double harmless = 0.02;
 
 static double longest_swing(const swing *w, const fo_prior *prior, int k, double step)
 {
@@ -344,14 +345,15 @@ static double course_penalty(const fo_course *course, size_t rows)
     return unrest_penalty(course, rows) + doubt_penalty(course, rows);
 }
 
-/* Information of levels and colour, and where it was evaluated: it changes slowly, and costs as much as the
- * rest. */
+/* Information of levels and colour, and where it was evaluated: it changes slowly, and costs as much as
+ * the rest. */
 typedef struct {
     double at[FO_VARIANCES], information[FO_VARIANCES][FO_VARIANCES];
     bool known;
 } variance_information;
 
-/* A level, ln, or the colour may move so far until its information is evaluated again. */
+/* A level, ln, or the colour may move so far until its information is evaluated again. Until then, a step is
+ * too long or too short, but no result changes: the last covariance has its own. Assumed. */
 static const double stale = 0.5;
 
 /* A part of a log as a log. */
@@ -412,7 +414,8 @@ static bool evaluate(const fo_work *w, const double *parameters, variance_inform
                      fo_posterior *out, fo_likelihood *at)
 {
     bool again = !variances->known;
-    for (int k = 0; k < FO_VARIANCES; k++) again = again || fabs(parameters[k] - variances->at[k]) > stale;
+    for (int k = 0; k < FO_VARIANCES; k++)
+        again = again || fabs(parameters[k] - variances->at[k]) > stale;
     out->evaluations++;
     if (!sum_innovations(w, parameters, again, at)) return false;
     if (again) {
@@ -505,7 +508,7 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, const fo_stage *stage, fo
         based = true;
         memcpy(out->parameters, tried, sizeof tried);
         out->mean_square = at.mean_square;
-        idle = best - objective > worth ? 0 : idle + 1;
+        idle = best - objective > stage->gain ? 0 : idle + 1;
         best = fmin(best, objective);
         out->converged = stage->jumps ? idle >= IDLE
                                       : expected < stage->gain && fabs(gained) < 10.0 * stage->gain;
@@ -525,8 +528,7 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, const fo_stage *stage, fo
         out->objective = objective;
         if (out->converged) break;
         learn_doubt(w->squares, log->rows, course);
-        if (stage->jumps)
-            learn_unrest(log, w->squares, course);
+        if (stage->jumps) learn_unrest(log, w->squares, course);
         if (stage->smoothing && !stage->jumps) { /* far from the end, a step needs its own base */
             if (!evaluate(w, out->parameters, &variances, out, &at)) return false;
             sum_backward(w, out->parameters, false, false, at.score);

@@ -47,7 +47,8 @@ typedef struct {
 /* Learns from `out->parameters`, `out->harmonics` and the course: Levenberg–Marquardt on the parameters
  * that are `free` (FO_L flags; null: all with a std), at most `most` evaluations, until a step is
  * expected to gain less than `gain`. With `smoothing`, each evaluation gives the next course; with
- * `jumps`, it also gives the unrest of the acceleration. False: the likelihood cannot be evaluated. */
+ * `jumps`, it also gives the unrest of the acceleration, and the stage ends when three evaluations in
+ * turn have gained less. False: the likelihood cannot be evaluated. */
 typedef struct {
     const bool *free;
     double gain;

@@ -36,7 +36,7 @@ ANGLE, PSI = 2, 4
 #: Of the likelihood: levels, loss and offsets, and the rest with its bases, for each start; all.
 MOST_EVALUATIONS = 3 * (30 + 2 * 60) + 60
 #: Drives of a kind. The mean of (error/σ)² over them scatters by about √(2/12) in each drive.
-DRIVES = 2
+DRIVES = 4
 KINDS = {"surface": SURFACE, "interior": INTERIOR}
 
 
@@ -157,7 +157,7 @@ def test_old_currents_turn_the_angle():
     u, i, p, about, got = settled_drive(0.05)
     p[INDEX["lag"]], p[INDEX["delay"]] = -0.5, 0.5  # voltage and current remain together
     turned = likelihood(u, i, H, p, about, START).smoothed["angle"] - got.smoothed["angle"]
-    assert turned == pytest.approx(0.5 * H * got.rows["own"][:, 3], rel=1e-6)
+    assert turned == pytest.approx(0.5 * H * got.rows["own"][:, 3], rel=1e-9)
 
 
 def test_a_load_step_does_not_spoil_the_inductance():

@@ -1,0 +1,36 @@
+/* Products with a transition, whose elements are mostly zero. */
+#ifndef FLUXOBS_TRANSITION_H
+#define FLUXOBS_TRANSITION_H
+
+#include <string.h>
+
+#include "innovations.h"
+
+/* y = F x, or Fᵀ x; x and y: FO_STATES rows of `width` numbers. */
+static inline void fo_times(const fo_elements *elements, const double F[FO_ELEMENTS],
+                            bool transposed, int width, const double *x, double *y)
+{
+    memset(y, 0, sizeof *y * (size_t)(FO_STATES * width));
+    for (int n = 0; n < elements->count; n++) {
+        const int k = elements->at[n];
+        const double f = F[k], *from = x + fo_pattern[k][!transposed] * width;
+        double *to = y + fo_pattern[k][transposed] * width;
+        for (int c = 0; c < width; c++) to[c] += f * from[c];
+    }
+}
+
+/* P ← F P Fᵀ, or Fᵀ P F; `half`: P Fᵀ, or P F. */
+static inline void fo_on_both_sides(const fo_elements *elements, const double F[FO_ELEMENTS],
+                                    bool transposed, double P[FO_STATES][FO_STATES],
+                                    double half[FO_STATES][FO_STATES])
+{
+    double M[FO_STATES][FO_STATES];
+    fo_times(elements, F, transposed, FO_STATES, P[0], M[0]);
+    for (int r = 0; r < FO_STATES; r++)
+        for (int c = 0; c < FO_STATES; c++) half[r][c] = M[c][r];
+    fo_times(elements, F, transposed, FO_STATES, half[0], M[0]);
+    for (int r = 0; r < FO_STATES; r++)
+        for (int c = r; c < FO_STATES; c++) P[r][c] = P[c][r] = M[r][c];
+}
+
+#endif
