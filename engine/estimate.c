@@ -5,14 +5,14 @@
 #include <string.h>
 
 enum {
-    SKIPPED = 20,     /* rows until innovations count: the first speed is rough */
-    FIRST = 30,       /* evaluations of the first stage, at most */
-    MOST = 60,        /* of the second */
-    LAST = 60         /* of the third: what is left of the unrest hardly moves the rest */
+    SKIPPED = 20, /* rows until innovations count: the first speed is rough */
+    MOST = 120,   /* evaluations, at most */
+    FIRST = 4,    /* of a range, until it is tried in earnest */
+    TRIED = 40    /* then */
 };
-/* Half squares: a stage ends when it gains less. A parameter that is d standard deviations off costs d²/2,
- * so after the last stage it remains within 0.8 of them. */
-static const double rough = 5.0, coarse = 2.0, fine = 0.3;
+/* Half squares that the last step may gain. A parameter that is d standard deviations off costs d²/2, so it
+ * remains within 0.8 of them. */
+static const double fine = 0.3;
 
 /* Share of the flux by which magnets change in a second (root of it): their temperature changes by 30 K
  * in ten minutes. A cage's flux changes as its inductances do. A reluctance machine has none. */
@@ -75,7 +75,6 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     put(&p, FO_L_offset_beta, 0.0, file->offset_std);
     put(&p, FO_L_gain_re, 0.0, file->gain_std);
     put(&p, FO_L_gain_im, 0.0, file->gain_std);
-    put(&p, FO_L_range, 1.05 * largest_current(record), 0.2 * largest_current(record));
     put(&p, FO_L_saturation_d, 0.0, file->saturation_std);
     put(&p, FO_L_saturation_q, 0.0, file->saturation_std);
     if (file->R_R > 0.0) {
@@ -88,8 +87,7 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     return p;
 }
 
-/* The levels of a poor drive: as small as the filter can follow with, since large levels of voltage and
- * drift lose the course where the rotor stands. */
+/* The levels of a poor drive, for the filter to follow with. */
 static void begin_levels(const fo_log *record, const fo_file *file, const fo_prior *prior,
                          double *parameters)
 {
@@ -107,8 +105,7 @@ static void begin(const fo_log *record, const fo_file *file, const fo_prior *pri
     memset(out, 0, sizeof *out);
     memcpy(out->parameters, prior->mean, sizeof prior->mean);
     begin_levels(record, file, prior, out->parameters);
-    /* Below the largest current: from there it rises if no sensor saturates. */
-    if (prior->std[FO_L_range] > 0.0) out->parameters[FO_L_range] = 0.93 * largest_current(record);
+    out->parameters[FO_L_range] = 0.0;
     out->harmonics = prior->harmonics;
     for (int k = 0; parameters && k < FO_UNKNOWNS; k++)
         if (isfinite(parameters[k])) out->parameters[k] = parameters[k];
@@ -185,6 +182,30 @@ static void begin_offset(const fo_log *record, const double *angle, const fo_pri
     parameters[FO_L_offset_beta] = sums[1] / all;
 }
 
+/* Rows before and behind a row over which the current is averaged: about a course that follows the noise of
+ * its own row, the score of the inductance would not have mean zero. */
+enum { AROUND = 6 };
+
+/* Mean current around a row in rotor coordinates, with weights that fall linearly; `mean` stays where no
+ * current is known. */
+static void mean_current(const fo_log *record, const fo_model *m, const double *angle, size_t row,
+                         double mean[2])
+{
+    const size_t first = row < AROUND ? 0 : row - AROUND;
+    double sum[2] = {0.0, 0.0}, weights = 0.0;
+    for (size_t k = first; k <= row + AROUND && k < record->rows; k++) {
+        const double *i = record->current + 2 * k;
+        if (!isfinite(i[0] + i[1])) continue;
+        const double x = i[0] - m->offset[0], y = i[1] - m->offset[1];
+        const double c = cos(angle[k]), s = sin(angle[k]);
+        const double weight = 1.0 + AROUND - (double)(k > row ? k - row : row - k);
+        sum[0] += weight * (c * x + s * y);
+        sum[1] += weight * (c * y - s * x);
+        weights += weight;
+    }
+    for (int a = 0; weights > 0.0 && a < 2; a++) mean[a] = sum[a] / weights;
+}
+
 /* The course through these angles: the flux is that of the measured current. A cage's rotor flux
  * follows i_d, from its steady value at the first row. */
 static void set_course(const fo_problem *problem, const double *angle, const double *p)
@@ -192,12 +213,10 @@ static void set_course(const fo_problem *problem, const double *angle, const dou
     const fo_log *record = problem->log;
     const fo_model m = fo_model_of(problem->machine, p);
     const double decay = m.R_R * m.over_L_M * fabs(record->sample_time);
-    double i[2] = {0.0, 0.0}, psi = 0.0;
+    double rotor[2] = {0.0, 0.0}, psi = 0.0;
     for (size_t k = 0; k < record->rows; k++) {
-        const double *own = record->current + 2 * k, c = cos(angle[k]), s = sin(angle[k]);
-        if (isfinite(own[0] + own[1]))
-            for (int a = 0; a < 2; a++) i[a] = own[a] - m.offset[a];
-        const double rotor[2] = {c * i[0] + s * i[1], c * i[1] - s * i[0]};
+        const double c = cos(angle[k]), s = sin(angle[k]);
+        mean_current(record, &m, angle, k, rotor);
         if (m.machine.cage)
             psi += k ? decay * (rotor[0] / m.over_L_M - psi) : rotor[0] / m.over_L_M;
         double dq[2];
@@ -207,65 +226,82 @@ static void set_course(const fo_problem *problem, const double *angle, const dou
     }
 }
 
-/* First levels, the loss and the sensors, about the given course. Its errors count as errors of the voltage
- * for now; if the voltage is `sure`, its errors are those of a poor drive. */
-static bool learn_levels(const fo_work *w, const fo_prior *prior, bool sure, fo_posterior *out)
+static int by_size(const void *a, const void *b)
 {
-    static const int early[] = {FO_L_noise, FO_L_acceleration, FO_L_voltage, FO_L_drift, FO_L_loss,
-                                FO_L_knee, FO_L_offset_alpha, FO_L_offset_beta, FO_L_range};
-    bool some[FO_L] = {false};
-    for (size_t k = 0; k < sizeof early / sizeof *early; k++) some[early[k]] = true;
-    if (sure) some[FO_L_voltage] = some[FO_L_drift] = false;
-    fo_prior first = *prior;
-    first.harmonics = 0.0;
-    const fo_stage stage = {some, rough, FIRST, false, false};
-    const double voltage = out->parameters[FO_L_voltage], drift = out->parameters[FO_L_drift];
-    const bool learnt = fo_learn(w, &first, &stage, out);
-    out->parameters[FO_L_voltage] = voltage;
-    out->parameters[FO_L_drift] = drift;
-    return learnt;
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
 }
 
-/* Then all but the errors of the voltage, since large levels of these would explain what the parameters
- * should, and the mobility, which moves when the rest is nearly right. */
-static bool learn_machine(const fo_work *w, const fo_prior *prior, fo_posterior *out)
+/* First noise, a std: most of the third difference of the current in rotor coordinates is noise. It has 20
+ * times the variance of white noise, and the median square of both components is 2 ln 2 times the variance
+ * of one. `spare`: a number for each row. */
+static double noise_of(const fo_log *record, const double *angle, double *spare)
 {
-    bool most[FO_L];
-    for (int k = 0; k < FO_L; k++)
-        most[k] = k != FO_L_mobility && k != FO_L_voltage && k != FO_L_drift;
-    const fo_stage stage = {most, coarse, MOST, true, false};
-    return fo_learn(w, prior, &stage, out);
+    static const double weights[4] = {-1.0, 3.0, -3.0, 1.0};
+    static const double median = 20.0 * 1.38629436111989062;
+    size_t count = 0;
+    for (size_t k = 0; k + 3 < record->rows; k++) {
+        double x = 0.0, y = 0.0;
+        for (size_t n = 0; n < 4; n++) {
+            const double *i = record->current + 2 * (k + n), c = cos(angle[k + n]),
+                         s = sin(angle[k + n]);
+            x += weights[n] * (c * i[0] + s * i[1]);
+            y += weights[n] * (c * i[1] - s * i[0]);
+        }
+        const double square = x * x + y * y;
+        if (isfinite(square)) spare[count++] = square;
+    }
+    if (!count) return 0.0;
+    qsort(spare, count, sizeof *spare, by_size);
+    return sqrt(spare[count / 2] / median);
 }
 
-/* All, with the unrest of the acceleration. */
-static bool learn_all(const fo_work *w, const fo_prior *prior, fo_posterior *out)
-{
-    const fo_stage stage = {NULL, fine, LAST, true, true};
-    return fo_learn(w, prior, &stage, out);
-}
+/* Rows over which the acceleration of the course is told. */
+enum { STRETCH = 25 };
 
-/* Starts of the one objective: with and without a limit of the range of the current sensors, and with a
- * voltage that is `sure` (see learn_levels). */
-typedef struct {
-    bool range, sure;
-} start_of;
-static const start_of starts[] = {{false, false}, {false, true}, {true, false}};
-enum { STARTS = sizeof starts / sizeof *starts };
+/* First level and unrest of the acceleration: how much that of the course changes in a stretch or beside
+ * it. At least a twentieth of the prior's, since no change of a given course is known so well. */
+static void begin_unrest(const fo_problem *problem, double *parameters)
+{
+    const size_t rows = problem->log->rows, count = rows / STRETCH;
+    const double T = STRETCH * fabs(problem->log->sample_time);
+    const double least = parameters[FO_L_acceleration] - 3.0;
+    fo_course *course = problem->course;
+    double *level = &parameters[FO_L_acceleration], sum = 0.0;
+    if (count < 8) return;
+    for (int pass = 0; pass < 2; pass++) /* the sum, then the unrest about its mean */
+        for (size_t n = 0; n < count; n++) {
+            double own = least;
+            for (size_t near = n < 2 ? 1 : n - 1; near <= n + 1 && near + 2 < count; near++) {
+                const double a = course[(near - 1) * STRETCH].angle, b = course[near * STRETCH].angle;
+                const double c = course[(near + 1) * STRETCH].angle;
+                const double d = course[(near + 2) * STRETCH].angle;
+                const double change = (d - a + 3.0 * (b - c)) / (T * T * sqrt(T));
+                if (change != 0.0) own = fmax(own, log(fabs(change)));
+            }
+            if (!pass) sum += own / (double)count;
+            const size_t end = n + 1 < count ? (n + 1) * STRETCH : rows;
+            for (size_t k = n * STRETCH; pass && k < end; k++)
+                course[k].unrest = exp(2.0 * (own - sum));
+        }
+    *level = sum;
+}
 
 /* Learning begins on parts of a long log: so many, and so many rows in all. */
 enum { PARTS = 8, LEARNT = 8192 };
 /* Passes of smoothing of the rows between them. */
 enum { ROUGH = 2 };
 
-/* What learning needs: for each start its prior, its posterior and a course. */
+/* What learning needs: two courses, the second for a trial. */
 typedef struct {
     const fo_file *file;
+    const double *angle;
     fo_work work;
     fo_part parts[PARTS], whole;
     size_t count;
-    fo_prior priors[STARTS];
-    fo_posterior posteriors[STARTS];
-    fo_course *courses[STARTS];
+    fo_prior prior;
+    fo_posterior *posterior;
+    fo_course *course, *other;
 } learning;
 
 /* Parts of equal length at equal distances; the one that contains the largest current, or is the nearest
@@ -322,36 +358,48 @@ void fo_rounding_of(const fo_log *record, double *rounding)
     }
 }
 
-/* First values of a start, and its course. */
-static void begin_start(learning *l, int n, const double *angle, const double *parameters)
+/* First values, and the course. */
+static void begin_learning(learning *l, const double *parameters, double *spare)
 {
-    fo_posterior *out = &l->posteriors[n];
-    fo_work *w = &l->work;
-    begin(w->problem.log, l->file, &l->priors[n], parameters, out);
-    w->problem.course = l->courses[n];
-    w->parts = l->parts;
-    w->count = l->count;
-    begin_offset(w->problem.log, angle, &l->priors[n], out->parameters);
-    set_course(&w->problem, angle, out->parameters);
+    double *p = l->posterior->parameters;
+    const fo_problem *problem = &l->work.problem;
+    begin(problem->log, l->file, &l->prior, parameters, l->posterior);
+    begin_offset(problem->log, l->angle, &l->prior, p);
+    set_course(problem, l->angle, p);
+    const double noise = noise_of(problem->log, l->angle, spare);
+    const double least = l->prior.mean[FO_L_noise] - 3.0;
+    p[FO_L_noise] = noise > 0.0 ? fmax(log(noise), least) : least;
+    begin_unrest(problem, p);
 }
 
-/* Learns from all starts, on parts of the log; the smallest objective counts. */
-static int learn_parts(learning *l, const double *angle, const double *parameters)
+/* −ln of the share of the logs in which a sensor saturates. Assumed: one of twenty. */
+static const double saturated = 3.0;
+
+/* Does a sensor of the current saturate? A range just below the largest current rises if none does; then
+ * it changes nothing. */
+static void try_range(learning *l)
 {
     fo_work *w = &l->work;
-    int best = -1;
-    for (int n = 0; n < STARTS; n++) {
-        fo_posterior *out = &l->posteriors[n];
-        if (!starts[n].range) put(&l->priors[n], FO_L_range, 0.0, 0.0);
-        begin_start(l, n, angle, parameters);
-        bool learnt = learn_levels(w, &l->priors[n], starts[n].sure, out);
-        /* Beyond the largest current, a range changes nothing: this start is like the first. */
-        if (learnt && best >= 0 && out->parameters[FO_L_range] > largest_current(w->problem.log))
-            continue;
-        learnt = learnt && learn_machine(w, &l->priors[n], out);
-        if (learnt && (best < 0 || out->objective < l->posteriors[best].objective)) best = n;
+    const fo_log *record = w->problem.log;
+    const double largest = largest_current(record);
+    fo_prior prior = l->prior;
+    fo_posterior tried = *l->posterior;
+    put(&prior, FO_L_range, 1.05 * largest, 0.2 * largest);
+    tried.parameters[FO_L_range] = 0.985 * largest;
+    w->problem.course = l->other;
+    memcpy(l->other, l->course, record->rows * sizeof *l->course);
+    bool learnt = fo_learn(w, &prior, fine, FIRST, &tried);
+    if (learnt && tried.parameters[FO_L_range] < largest)
+        learnt = fo_learn(w, &prior, fine, TRIED, &tried);
+    l->posterior->evaluations = tried.evaluations;
+    if (learnt && tried.parameters[FO_L_range] < largest &&
+        tried.objective + saturated < l->posterior->objective) {
+        *l->posterior = tried;
+        l->prior = prior;
+        l->other = l->course;
+        l->course = w->problem.course;
     }
-    return best;
+    w->problem.course = l->course;
 }
 
 /* The course between the parts. */
@@ -368,38 +416,33 @@ static void set_rest(const fo_problem *problem, const double *angle, const doubl
     }
 }
 
-/* Learns all of a start on the whole log, after its machine on parts. `spare`: a course. */
-static bool learn_whole(learning *l, int n, const double *angle, fo_course *spare)
+/* Learns on the whole log what parts of it have told. */
+static bool learn_whole(learning *l)
 {
     fo_work *w = &l->work;
-    fo_posterior *own = &l->posteriors[n];
-    w->problem.course = l->courses[n];
+    double *own = l->posterior->parameters, p[FO_UNKNOWNS];
+    set_rest(&w->problem, l->angle, own, l->parts, l->count, l->other);
     w->parts = &l->whole;
     w->count = 1;
-    if (l->count > 1) {
-        set_rest(&w->problem, angle, own->parameters, l->parts, l->count, spare);
-        /* The course of the other rows is rough yet: first with large levels. */
-        double p[FO_UNKNOWNS];
-        memcpy(p, own->parameters, sizeof p);
-        begin_levels(w->problem.log, l->file, &l->priors[n], p);
-        if (!fo_settle(w, p, ROUGH) || !fo_settle(w, own->parameters, ROUGH)) return false;
-    }
-    return learn_all(w, &l->priors[n], own);
+    /* The course of the other rows is rough yet: first with large levels. */
+    memcpy(p, own, sizeof p);
+    begin_levels(w->problem.log, l->file, &l->prior, p);
+    return fo_settle(w, p, ROUGH) && fo_settle(w, own, ROUGH) &&
+           fo_learn(w, &l->prior, fine, MOST, l->posterior);
 }
 
-static bool learn(learning *l, const double *angle, const double *parameters, fo_posterior *out,
-                  fo_smoothed *rows)
+static bool learn(learning *l, const double *parameters, double *spare, fo_smoothed *rows)
 {
     fo_work *w = &l->work;
-    const int best = learn_parts(l, angle, parameters);
-    if (best < 0) return false;
-    const bool learnt = learn_whole(l, best, angle, l->courses[best ? 0 : 1]);
-    *out = l->posteriors[best];
-    out->evaluations = 0;
-    for (int n = 0; n < STARTS; n++) out->evaluations += l->posteriors[n].evaluations;
+    fo_posterior *out = l->posterior;
+    put(&l->prior, FO_L_range, 0.0, 0.0);
+    begin_learning(l, parameters, spare);
+    if (!fo_learn(w, &l->prior, fine, MOST, out)) return false;
+    try_range(l);
+    if (l->count > 1 && !learn_whole(l)) return false;
     fo_likelihood last;
-    if (!learnt || !fo_innovations(&w->problem, out->parameters, true, &last, w->checkpoints) ||
-        !fo_covariance(&last, &l->priors[best], out))
+    if (!fo_innovations(&w->problem, out->parameters, true, &last, w->checkpoints) ||
+        !fo_covariance(&last, &l->prior, out))
         return false;
     const fo_outputs wanted = {.smoothed = rows, .covariance = out->covariance};
     fo_backward(&w->problem, out->parameters, w->checkpoints, w->rows, &wanted, NULL);
@@ -409,33 +452,34 @@ static bool learn(learning *l, const double *angle, const double *parameters, fo
 fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angle,
                            const double *parameters, fo_posterior *posterior, fo_smoothed *rows)
 {
-    const fo_prior prior = fo_ordinary_prior(record, file);
     const fo_machine machine = machine_of(file);
     const fo_start start = any_start(record, file);
     const size_t count = record->rows;
-    double *rounding = malloc(count * sizeof *rounding);
+    double *rounding = malloc(count * sizeof *rounding), *spare = malloc(count * sizeof *spare);
     fo_log log = *record;
     log.rounding = rounding;
-    learning l = {.file = file, .whole = {0, count}};
-    for (int n = 0; n < STARTS; n++) l.priors[n] = prior;
+    learning l = {.file = file, .angle = angle, .whole = {0, count}, .posterior = posterior};
+    l.prior = fo_ordinary_prior(record, file);
+    l.course = malloc(count * sizeof *l.course);
+    l.other = malloc(count * sizeof *l.other);
     l.count = parts_of(record, l.parts);
-    l.work = (fo_work){.problem = {&log, &machine, &start, NULL},
+    l.work = (fo_work){.problem = {&log, &machine, &start, l.course},
+                       .parts = l.parts,
+                       .count = l.count,
                        .checkpoints = malloc((fo_checkpoints(count) + PARTS) * sizeof(fo_filter)),
                        .rows = malloc(FO_CHUNK * sizeof(fo_row)),
                        .squares = malloc(count * sizeof(fo_squares)),
                        .before = malloc(count * sizeof(fo_course))};
-    bool memory = rounding && l.work.checkpoints && l.work.rows && l.work.squares && l.work.before;
-    for (int n = 0; n < STARTS; n++) {
-        l.courses[n] = malloc(count * sizeof *l.courses[n]);
-        memory = memory && l.courses[n];
-    }
     fo_outcome outcome = FO_NO_MEMORY;
-    if (memory) {
+    if (rounding && spare && l.course && l.other && l.work.checkpoints && l.work.rows &&
+        l.work.squares && l.work.before) {
         fo_rounding_of(record, rounding);
-        outcome = learn(&l, angle, parameters, posterior, rows) ? FO_ESTIMATED : FO_NO_ESTIMATE;
+        outcome = learn(&l, parameters, spare, rows) ? FO_ESTIMATED : FO_NO_ESTIMATE;
     }
     free(rounding);
-    for (int n = 0; n < STARTS; n++) free(l.courses[n]);
+    free(spare);
+    free(l.course);
+    free(l.other);
     free(l.work.checkpoints);
     free(l.work.rows);
     free(l.work.squares);

@@ -17,10 +17,7 @@ static const double harmonics_weight = 2.0, harmonics_share = 0.1;
 static const double slack = 2.0;
 /* ln: no sensor is thirty times as quiet as an ordinary one, although a flat log is. Assumed. */
 static const double quietest = 3.4;
-#define LARGEST_DAMPING 1e4
-/* A stage with jumps ends when so many evaluations in turn have gained less than its `gain`: what a step is
- * expected to gain says nothing of the unrest. */
-enum { IDLE = 3 };
+static const double largest_damping = 1e9;
 
 typedef struct {
     double value, slope[FO_UNKNOWNS], curvature[FO_UNKNOWNS];
@@ -77,13 +74,12 @@ typedef struct {
     bool round;
 } selection;
 
-static selection selected(const fo_prior *prior, const bool *free)
+static selection selected(const fo_prior *prior)
 {
     selection s = {0, {0}, prior->round};
     for (int k = 0; k < FO_UNKNOWNS; k++) {
         const bool own = k >= FO_L ? prior->harmonics > 0.0
-                                   : prior->std[k] > 0.0 && (!free || free[k]) &&
-                                         !(prior->round && k == FO_L_L_q);
+                                   : prior->std[k] > 0.0 && !(prior->round && k == FO_L_L_q);
         if (own) s.at[s.count++] = k;
     }
     return s;
@@ -111,9 +107,9 @@ static void reduced(const selection *s, const fo_likelihood *at, const penalty *
     }
 }
 
-/* Cholesky factor of H with its diagonal raised by the factor 1 + μ, scaled to a diagonal of ones:
- * the units of the parameters differ by many powers of ten. */
-static bool factor(int n, double H[MOST][MOST], double mu, double scale[MOST],
+/* Cholesky factor of H + μ D, scaled by the diagonal of H: the units of the parameters differ by many
+ * powers of ten. D is diagonal. */
+static bool factor(int n, double H[MOST][MOST], double mu, const double D[MOST], double scale[MOST],
                    double R[MOST][MOST])
 {
     for (int r = 0; r < n; r++) {
@@ -122,7 +118,7 @@ static bool factor(int n, double H[MOST][MOST], double mu, double scale[MOST],
     }
     for (int r = 0; r < n; r++)
         for (int c = 0; c <= r; c++) {
-            double sum = H[r][c] * scale[r] * scale[c] + (r == c ? mu : 0.0);
+            double sum = scale[r] * scale[c] * (H[r][c] + (r == c ? mu * D[r] : 0.0));
             for (int k = 0; k < c; k++) sum -= R[r][k] * R[c][k];
             if (r != c) {
                 R[r][c] = sum / R[c][c];
@@ -151,6 +147,7 @@ static void solve(int n, double R[MOST][MOST], const double scale[MOST], const d
 /* Longest step of a parameter: where the filter's linearisation still holds. */
 static double longest(const fo_prior *prior, int k)
 {
+    if (k >= FO_L) return prior->harmonics;
     if (is_of_file(k)) return 0.2; /* logarithms: 20 % */
     switch (k) {
     case FO_L_iron_loss:
@@ -169,7 +166,7 @@ static double longest(const fo_prior *prior, int k)
     case FO_L_delay: return 0.3;
     case FO_L_colour_pole:
     case FO_L_colour_gain: return 0.2;
-    default: return k < FO_L ? 1.0 : HUGE_VAL; /* logarithms of levels: twofold */
+    default: return 2.0; /* logarithms of levels */
     }
 }
 
@@ -178,8 +175,9 @@ static bool invert(const selection *s, double H[MOST][MOST], double *covariance)
 {
     double R[MOST][MOST], scale[MOST], unit[MOST] = {0.0}, column[MOST];
     memset(covariance, 0, sizeof(double) * FO_UNKNOWNS * FO_UNKNOWNS);
-    double ridge = 0.0; /* relative; needed where the filter has lost the rotor */
-    while (!factor(s->count, H, ridge, scale, R)) {
+    double ridge = 0.0, diagonal[MOST]; /* relative; needed where the filter has lost the rotor */
+    for (int k = 0; k < s->count; k++) diagonal[k] = H[k][k];
+    while (!factor(s->count, H, ridge, diagonal, scale, R)) {
         ridge = ridge > 0.0 ? 100.0 * ridge : 1e-12;
         if (ridge > 1e-3) return false;
     }
@@ -201,7 +199,7 @@ static bool invert(const selection *s, double H[MOST][MOST], double *covariance)
 
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out)
 {
-    const selection s = selected(prior, NULL);
+    const selection s = selected(prior);
     double g[MOST], H[MOST][MOST];
     const penalty own = penalty_at(prior, out->parameters, out->harmonics);
     reduced(&s, at, &own, g, H);
@@ -296,45 +294,73 @@ static bool is_level(int k)
  * it, and how long the next may be: logarithms of levels, and of a loss that is nearly zero, would
  * swing to and fro. A step that turns back is at most half of the last, the next four times as
  * long. Swings by a fiftieth do no harm; a smaller bound would hold a level that has rested and must
- * move. */
+ * move. After a step that failed, the next is at most half as long. */
 typedef struct {
     double last, most;
+    bool failed;
 } swing;
 
 static const double harmless = 0.02;
 
+static bool swings_too(int k)
+{
+    return is_level(k) || k == FO_L_loss;
+}
+
 static double longest_swing(const swing *w, const fo_prior *prior, int k, double step)
 {
+    if (w->failed && is_level(k)) return 0.5 * fabs(w->last);
     if (w->last == 0.0) return longest(prior, k);
     if (step * w->last < 0.0) return fmax(0.5 * fabs(w->last), harmless);
     return fmin(4.0 * w->most, longest(prior, k));
 }
 
-/* A step of the free parameters with damped curvature, no longer than allowed; returns what it is
- * expected to gain, or a negative number if the curvature is not positive. Levels are shortened one by
- * one, since the others hardly depend on them. */
-static double damped_step(const selection *s, const fo_prior *prior, const double *g,
-                          double H[MOST][MOST], double damping, swing *swings, double *parameters)
+/* A step of the logarithm of a std, from that of scoring: exact where one variance explains all squares. */
+static double of_variance(double step)
 {
-    double R[MOST][MOST], scale[MOST], step[MOST], share = 1.0, gain = 0.0;
-    if (!factor(s->count, H, damping, scale, R)) return -1.0;
-    solve(s->count, R, scale, g, step);
+    return step < 0.5 ? -0.5 * log1p(-2.0 * step) : HUGE_VAL;
+}
+
+/* Steps with curvature H + μ D, the smallest μ (from `damping` on) with which none is longer than it may be:
+ * D⁻¹ are the squares of the longest steps. With a μ relative to H, parameters that the log hardly tells
+ * would take absurd values before those that are wrong have moved. The levels, on which the others hardly
+ * depend, are shortened one by one. */
+static bool trusted_steps(const selection *s, const fo_prior *prior, const double *g,
+                          double H[MOST][MOST], double *damping, const swing *swings, double most[MOST],
+                          double step[MOST])
+{
+    double R[MOST][MOST], scale[MOST], D[MOST];
     for (int k = 0; k < s->count; k++) {
-        const int at = s->at[k];
-        const bool swings_too = is_level(at) || at == FO_L_loss;
-        double most = longest(prior, at);
-        if (swings_too) most = swings[k].most = longest_swing(&swings[k], prior, at, step[k]);
-        if (is_level(at))
-            step[k] = fmax(fmin(step[k], most), -most);
-        else
-            share = fmin(share, most / fmax(fabs(step[k]), 1e-300));
+        const double own = longest(prior, s->at[k]);
+        D[k] = is_level(s->at[k]) ? 0.0 : 1.0 / (own * own);
     }
+    for (; *damping <= largest_damping; *damping = fmax(3.0 * *damping, 0.01)) {
+        if (!factor(s->count, H, *damping, D, scale, R)) continue;
+        solve(s->count, R, scale, g, step);
+        bool trusted = true;
+        for (int k = 0; k < s->count; k++) {
+            const int at = s->at[k];
+            if (is_level(at)) step[k] = of_variance(step[k]);
+            most[k] = swings_too(at) ? longest_swing(&swings[k], prior, at, step[k]) : longest(prior, at);
+            if (is_level(at)) step[k] = fmax(fmin(step[k], most[k]), -most[k]);
+            trusted = trusted && fabs(step[k]) <= most[k];
+        }
+        if (trusted) return true;
+    }
+    return false;
+}
+
+/* Moves the parameters; returns what the step is expected to gain, or infinity if there is none. */
+static double move(const selection *s, const fo_prior *prior, const double *g, double H[MOST][MOST],
+                   double *damping, swing *swings, double *parameters)
+{
+    double step[MOST], most[MOST], gain = 0.0;
+    if (!trusted_steps(s, prior, g, H, damping, swings, most, step)) return HUGE_VAL;
     for (int k = 0; k < s->count; k++) {
-        const double own = is_level(s->at[k]) ? step[k] : share * step[k];
-        swings[k].last = own;
-        parameters[s->at[k]] -= own;
-        gain += 0.5 * g[k] * own;
-        if (s->round && s->at[k] == FO_L_L_d) parameters[FO_L_L_q] -= own;
+        swings[k] = (swing){step[k], most[k], false};
+        parameters[s->at[k]] -= step[k];
+        gain += 0.5 * g[k] * step[k];
+        if (s->round && s->at[k] == FO_L_L_d) parameters[FO_L_L_q] -= step[k];
     }
     parameters[FO_L_noise] = fmax(parameters[FO_L_noise], prior->mean[FO_L_noise] - quietest);
     return gain;
@@ -470,51 +496,46 @@ bool fo_settle(const fo_work *w, const double *parameters, int passes)
     return true;
 }
 
-bool fo_learn(const fo_work *w, const fo_prior *prior, const fo_stage *stage, fo_posterior *out)
+/* After the first evaluation, the course is the smoothed one; about the given one, which follows the noise
+ * of the currents, the objective is too small. */
+bool fo_learn(const fo_work *w, const fo_prior *prior, double gain, size_t most, fo_posterior *out)
 {
-    const selection s = selected(prior, stage->free);
+    const selection s = selected(prior);
     const fo_log *log = w->problem.log;
     fo_course *course = w->problem.course;
     fo_likelihood at;
     variance_information variances = {.known = false};
-    double g[MOST], H[MOST][MOST], tried[FO_UNKNOWNS], damping = 1e-3, expected = HUGE_VAL;
-    swing swings[MOST] = {{0.0, 0.0}};
+    double g[MOST], H[MOST][MOST], tried[FO_UNKNOWNS], damping = 0.0, expected = HUGE_VAL;
+    swing swings[MOST] = {{0.0, 0.0, false}};
     bool based = false; /* out holds accepted parameters, g and H their derivatives */
-    double best = HUGE_VAL;
-    int idle = 0;
     memcpy(tried, out->parameters, sizeof tried);
     out->converged = false;
     for (size_t k = 0; k < log->rows; k++) w->squares[k] = (fo_squares){1.0, 0.0, 2.0};
-    for (size_t n = 0; n < stage->most; n++) {
+    for (size_t n = 0; n < most; n++) {
         const bool good = evaluate(w, tried, &variances, out, &at);
         if (!good && !based) return false;
         penalty own = penalty_at(prior, tried, out->harmonics);
         const double rest = own.value + course_penalty(course, log->rows);
-        const double limit = out->objective + (stage->jumps ? slack : 0.0) - rest;
+        const double limit = out->objective + slack - rest;
         const bool same = based && !memcmp(tried, out->parameters, sizeof tried);
-        const bool better = !based || same || (good && at.objective <= limit);
-        double objective = at.objective + rest;
-        if (!better) {
+        if (based && !same && !(good && at.objective <= limit)) {
             /* Shorter. If no step is better about this course, it is the base about this course. */
-            damping *= 10.0;
+            damping = fmax(10.0 * damping, 1.0);
+            for (int k = 0; k < s.count; k++) swings[k].failed = true;
             memcpy(tried, out->parameters, sizeof tried);
-            if (stage->smoothing && stage->jumps) halve_course(w);
-            if (damping < LARGEST_DAMPING)
-                expected = damped_step(&s, prior, g, H, damping, swings, tried);
+            halve_course(w);
+            expected = move(&s, prior, g, H, &damping, swings, tried);
             continue;
         }
         if (!good) return false;
+        double objective = at.objective + rest;
         const double gained = based ? out->objective - objective : HUGE_VAL;
-        based = true;
         memcpy(out->parameters, tried, sizeof tried);
         out->mean_square = at.mean_square;
-        idle = best - objective > stage->gain ? 0 : idle + 1;
-        best = fmin(best, objective);
-        out->converged = stage->jumps ? idle >= IDLE
-                                      : expected < stage->gain && fabs(gained) < 10.0 * stage->gain;
+        out->converged = expected < gain && fabs(gained) < 10.0 * gain;
         if (!out->converged) {
             save_course(w);
-            sum_backward(w, tried, stage->smoothing, true, at.score);
+            sum_backward(w, tried, true, true, at.score);
         }
         reduced(&s, &at, &own, g, H);
         if (!invert(&s, H, out->covariance)) return false;
@@ -528,21 +549,17 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, const fo_stage *stage, fo
         out->objective = objective;
         if (out->converged) break;
         learn_doubt(w->squares, log->rows, course);
-        if (stage->jumps) learn_unrest(log, w->squares, course);
-        if (stage->smoothing && !stage->jumps) { /* far from the end, a step needs its own base */
-            if (!evaluate(w, out->parameters, &variances, out, &at)) return false;
-            sum_backward(w, out->parameters, false, false, at.score);
+        learn_unrest(log, w->squares, course);
+        if (!based) {
+            based = true;
+            if (!evaluate(w, tried, &variances, out, &at)) return false;
+            sum_backward(w, tried, false, false, at.score);
             out->objective = at.objective + own.value + course_penalty(course, log->rows);
             reduced(&s, &at, &own, g, H);
         }
-        damping = fmin(fmax(0.1 * damping, 1e-9), 1.0);
-        memcpy(tried, out->parameters, sizeof tried);
-        expected = damped_step(&s, prior, g, H, damping, swings, tried);
-        while (expected < 0.0 && damping < LARGEST_DAMPING) {
-            damping *= 10.0;
-            memcpy(tried, out->parameters, sizeof tried);
-            expected = damped_step(&s, prior, g, H, damping, swings, tried);
-        }
+        for (int k = 0; k < s.count; k++) swings[k].failed = false;
+        damping *= 0.1;
+        expected = move(&s, prior, g, H, &damping, swings, tried);
     }
     return based;
 }

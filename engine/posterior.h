@@ -44,18 +44,11 @@ typedef struct {
     fo_course *before;
 } fo_work;
 
-/* Learns from `out->parameters`, `out->harmonics` and the course: Levenberg–Marquardt on the parameters
- * that are `free` (FO_L flags; null: all with a std), at most `most` evaluations, until a step is
- * expected to gain less than `gain`. With `smoothing`, each evaluation gives the next course; with
- * `jumps`, it also gives the unrest of the acceleration, and the stage ends when three evaluations in
- * turn have gained less. False: the likelihood cannot be evaluated. */
-typedef struct {
-    const bool *free;
-    double gain;
-    size_t most;
-    bool smoothing, jumps;
-} fo_stage;
-bool fo_learn(const fo_work *work, const fo_prior *prior, const fo_stage *stage, fo_posterior *out);
+/* Learns from `out->parameters`, `out->harmonics` and the course: Gauss–Newton steps within a trust region,
+ * at most `most` evaluations, until a step is expected to gain less than `gain` and the last gained less
+ * than ten times that. Each evaluation also gives the next course, the unrest of the acceleration and the
+ * doubtful rows. False: the likelihood cannot be evaluated. */
+bool fo_learn(const fo_work *work, const fo_prior *prior, double gain, size_t most, fo_posterior *out);
 
 /* Smooths the course at fixed parameters, so many times. A course that makes the objective larger is taken
  * back in part. */
