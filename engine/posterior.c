@@ -8,6 +8,8 @@ enum { MOST = FO_UNKNOWNS };
 /* Assumed: one machine file in twenty describes another machine, and its errors are five times as
  * large. */
 static const double other_machines = 0.05, wider = 5.0;
+/* Iron does not deliver power: its loss is hardly below zero, by this share of its std. */
+static const double below = 0.1;
 /* The level of the harmonics has an inverse gamma prior. It counts like two coefficients, each a
  * tenth of the scale. */
 static const double harmonics_weight = 2.0, harmonics_share = 0.1;
@@ -46,7 +48,8 @@ static penalty penalty_at(const fo_prior *prior, const double *p, double harmoni
 {
     penalty out = {0.0, {0.0}, {0.0}};
     for (int k = 0; k < FO_L; k++) {
-        const double std = prior->std[k], difference = p[k] - prior->mean[k];
+        const double difference = p[k] - prior->mean[k];
+        const double std = prior->std[k] * (k == FO_L_iron_loss && difference < 0.0 ? below : 1.0);
         if (!(std > 0.0) || (prior->round && k == FO_L_L_q)) continue;
         if (is_of_file(k)) {
             add_heavy(difference, std, k, &out);
