@@ -2,8 +2,8 @@
 
     python tests/engine/drive_table.py [--drives 3] [--seed 1] [--truth] [--write]
 
-The drives of benchmarks/whole_log.py, 12,000 rows each, from the estimate of today. With --truth,
-the engine starts at the true course and machine: the result shows its objective without a search.
+The drives of benchmarks/whole_log.py, 12,000 rows each, from the course of the observers. With
+--truth, the engine starts at the true course and machine: the objective without a search.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ from engine.scores import START, parameters_of
 H = 1e-4
 #: Indices of the angle and of ψ among the states.
 ANGLE, PSI = 2, 4
-#: Of the likelihood: levels, loss and offsets, and the rest with its bases, for each start; all.
-MOST_EVALUATIONS = 3 * (30 + 2 * 60) + 60
+#: Of the likelihood: all parameters; a range of the sensors; all on a long log; a base each.
+MOST_EVALUATIONS = 120 + 4 + 40 + 120 + 4
 #: Drives of a kind. The mean of (error/σ)² over them scatters by about √(2/12) in each drive.
 DRIVES = 4
 KINDS = {"surface": SURFACE, "interior": INTERIOR}
