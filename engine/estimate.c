@@ -7,6 +7,7 @@
 enum {
     SKIPPED = 20, /* rows until innovations count: the first speed is rough */
     MOST = 120,   /* evaluations, at most */
+    RACE = 12,    /* of each start, if there are several: levels and loss are nearly right then */
     FIRST = 4,    /* of a range, until it is tried in earnest */
     TRIED = 40    /* then */
 };
@@ -359,17 +360,51 @@ void fo_rounding_of(const fo_log *record, double *rounding)
 }
 
 /* First values, and the course. */
-static void begin_learning(learning *l, const double *parameters, double *spare)
+static void begin_learning(const learning *l, const double *angle, const double *parameters,
+                           double *spare, fo_posterior *out)
 {
-    double *p = l->posterior->parameters;
+    double *p = out->parameters;
     const fo_problem *problem = &l->work.problem;
-    begin(problem->log, l->file, &l->prior, parameters, l->posterior);
-    begin_offset(problem->log, l->angle, &l->prior, p);
-    set_course(problem, l->angle, p);
-    const double noise = noise_of(problem->log, l->angle, spare);
+    begin(problem->log, l->file, &l->prior, parameters, out);
+    begin_offset(problem->log, angle, &l->prior, p);
+    set_course(problem, angle, p);
+    const double noise = noise_of(problem->log, angle, spare);
     const double least = l->prior.mean[FO_L_noise] - 3.0;
     p[FO_L_noise] = noise > 0.0 ? fmax(log(noise), least) : least;
     begin_unrest(problem, p);
+}
+
+static void exchange_courses(learning *l)
+{
+    fo_course *course = l->course;
+    l->course = l->other;
+    l->other = course;
+    l->work.problem.course = l->course;
+}
+
+/* Learns a little from each of `count` courses, one behind the other; the smallest objective counts. */
+static bool race(learning *l, const double *angles, size_t count, const double *parameters,
+                 double *spare)
+{
+    const size_t rows = l->work.problem.log->rows;
+    size_t evaluations = 0;
+    bool any = false;
+    for (size_t n = 0; n < count; n++) {
+        fo_posterior tried;
+        const double *angle = angles + n * rows;
+        l->work.problem.course = l->other;
+        begin_learning(l, angle, parameters, spare, &tried);
+        const bool learnt = fo_learn(&l->work, &l->prior, fine, RACE, &tried);
+        evaluations += tried.evaluations;
+        if (!learnt || (any && tried.objective >= l->posterior->objective)) continue;
+        any = true;
+        *l->posterior = tried;
+        l->angle = angle;
+        exchange_courses(l);
+    }
+    l->work.problem.course = l->course;
+    l->posterior->evaluations = evaluations;
+    return any;
 }
 
 /* −ln of the share of the logs in which a sensor saturates. Assumed: one of twenty. */
@@ -396,8 +431,7 @@ static void try_range(learning *l)
         tried.objective + saturated < l->posterior->objective) {
         *l->posterior = tried;
         l->prior = prior;
-        l->other = l->course;
-        l->course = w->problem.course;
+        exchange_courses(l);
     }
     w->problem.course = l->course;
 }
@@ -431,12 +465,17 @@ static bool learn_whole(learning *l)
            fo_learn(w, &l->prior, fine, MOST, l->posterior);
 }
 
-static bool learn(learning *l, const double *parameters, double *spare, fo_smoothed *rows)
+static bool learn(learning *l, const double *angles, size_t starts, const double *parameters,
+                  double *spare, fo_smoothed *rows)
 {
     fo_work *w = &l->work;
     fo_posterior *out = l->posterior;
     put(&l->prior, FO_L_range, 0.0, 0.0);
-    begin_learning(l, parameters, spare);
+    if (starts > 1) {
+        if (!race(l, angles, starts, parameters, spare)) return false;
+    } else {
+        begin_learning(l, angles, parameters, spare, out);
+    }
     if (!fo_learn(w, &l->prior, fine, MOST, out)) return false;
     try_range(l);
     if (l->count > 1 && !learn_whole(l)) return false;
@@ -449,8 +488,9 @@ static bool learn(learning *l, const double *parameters, double *spare, fo_smoot
     return true;
 }
 
-fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angle,
-                           const double *parameters, fo_posterior *posterior, fo_smoothed *rows)
+fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angles,
+                           size_t starts, const double *parameters, fo_posterior *posterior,
+                           fo_smoothed *rows)
 {
     const fo_machine machine = machine_of(file);
     const fo_start start = any_start(record, file);
@@ -458,7 +498,7 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
     double *rounding = malloc(count * sizeof *rounding), *spare = malloc(count * sizeof *spare);
     fo_log log = *record;
     log.rounding = rounding;
-    learning l = {.file = file, .angle = angle, .whole = {0, count}, .posterior = posterior};
+    learning l = {.file = file, .angle = angles, .whole = {0, count}, .posterior = posterior};
     l.prior = fo_ordinary_prior(record, file);
     l.course = malloc(count * sizeof *l.course);
     l.other = malloc(count * sizeof *l.other);
@@ -474,7 +514,7 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
     if (rounding && spare && l.course && l.other && l.work.checkpoints && l.work.rows &&
         l.work.squares && l.work.before) {
         fo_rounding_of(record, rounding);
-        outcome = learn(&l, parameters, spare, rows) ? FO_ESTIMATED : FO_NO_ESTIMATE;
+        outcome = learn(&l, angles, starts, parameters, spare, rows) ? FO_ESTIMATED : FO_NO_ESTIMATE;
     }
     free(rounding);
     free(spare);

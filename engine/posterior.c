@@ -327,7 +327,8 @@ static double of_variance(double step)
 /* Steps with curvature H + μ D, the smallest μ (from `damping` on) with which none is longer than it may be:
  * D⁻¹ are the squares of the longest steps. With a μ relative to H, parameters that the log hardly tells
  * would take absurd values before those that are wrong have moved. The levels, on which the others hardly
- * depend, are shortened one by one. */
+ * depend, are shortened one by one; then those that go uphill alone, which others should have made up
+ * for, stay. */
 static bool trusted_steps(const selection *s, const fo_prior *prior, const double *g,
                           double H[MOST][MOST], double *damping, const swing *swings, double most[MOST],
                           double step[MOST])
@@ -340,14 +341,19 @@ static bool trusted_steps(const selection *s, const fo_prior *prior, const doubl
     for (; *damping <= largest_damping; *damping = fmax(3.0 * *damping, 0.01)) {
         if (!factor(s->count, H, *damping, D, scale, R)) continue;
         solve(s->count, R, scale, g, step);
-        bool trusted = true;
+        bool trusted = true, shortened = false;
         for (int k = 0; k < s->count; k++) {
             const int at = s->at[k];
             if (is_level(at)) step[k] = of_variance(step[k]);
             most[k] = swings_too(at) ? longest_swing(&swings[k], prior, at, step[k]) : longest(prior, at);
-            if (is_level(at)) step[k] = fmax(fmin(step[k], most[k]), -most[k]);
+            if (is_level(at) && fabs(step[k]) > most[k]) {
+                shortened = true;
+                step[k] = copysign(most[k], step[k]);
+            }
             trusted = trusted && fabs(step[k]) <= most[k];
         }
+        for (int k = 0; shortened && k < s->count; k++)
+            if (is_level(s->at[k]) && g[k] * step[k] < 0.0) step[k] = 0.0;
         if (trusted) return true;
     }
     return false;

@@ -99,20 +99,22 @@ def estimate(
     angle: Array,
     parameters: dict[str, float] | None = None,
 ) -> Estimate:
-    """Estimate a log from a course of the angle; NoEstimate if it contradicts the start.
+    """Estimate a log from a course of the angle, or from several (rows) of which one is right.
 
-    `parameters`: where learning starts, instead of the machine file.
+    NoEstimate if the log contradicts them. `parameters`: where learning starts, instead of the
+    machine file.
     """
     rows, out = np.zeros(len(current), SMOOTHED), _Posterior()
     begin = np.full(UNKNOWNS, np.nan)
     for name, value in (parameters or {}).items():
         begin[INDEX[name]] = value
-    course = np.ascontiguousarray(angle, float)
+    course = np.atleast_2d(np.ascontiguousarray(angle, float))
     with log_of(voltage, current, sample_time) as log:
         outcome = library().fo_estimate_log(
             ctypes.byref(log),
             ctypes.byref(file),
             pointer(course),
+            ctypes.c_size_t(len(course)),
             pointer(begin),
             ctypes.byref(out),
             pointer(rows),

@@ -1,4 +1,4 @@
-"""Where the engine starts: the observer forwards, and one pass of the smoother over the log."""
+"""Where the engine starts: the observer forwards, and passes of the smoother over the log."""
 
 from __future__ import annotations
 
@@ -11,20 +11,41 @@ from fluxobs.estimation.anchors import anchors_of, forwards, joined_pieces
 from fluxobs.estimation.passes import Passes
 from fluxobs.estimation.whole_log import WholeLog
 from fluxobs.logs.for_machine import open_for
+from fluxobs.machines.model.frames import wrap
 from fluxobs.machines.rotating import RotatingMachine
 from fluxobs.observers.adaptive import Learnt
 from fluxobs.observers.unknowns import AUTO
 from fluxobs.smoothing.record import smooth_record
 
+#: A course that differs from another by less than this is the same start [rad].
+SAME = 0.5
 
-def first_course(
+
+def unwrapped(angle: Array) -> Array | None:
+    """Return the angle without gaps and jumps of a turn; None: no row has one."""
+    known = np.isfinite(angle)
+    if not known.any():
+        return None
+    at = np.arange(len(angle))
+    return np.interp(at, at[known], np.unwrap(angle[known]))
+
+
+def differ(one: Array, other: Array) -> bool:
+    """Whether two courses are different starts."""
+    return float(np.abs(wrap(one - other)).max()) > SAME
+
+
+def first_courses(
     voltage: Complex,
     current: Complex,
     sample_time: float,
     machine: RotatingMachine,
     lag: float,
 ) -> tuple[Array, Learnt | None]:
-    """Return the angle of each row, without jumps of a turn, and what the observer learnt.
+    """Return courses of the angle, a row each, and what the observer learnt.
+
+    They come from the observer forwards, and from each start of the smoother: it joins what the
+    observers know, and may lose a turn where they know nothing.
 
     Parameters
     ----------
@@ -44,14 +65,18 @@ def first_course(
     if anchors.sum() < 2:
         raise NoEstimate
     model = whole._model_for(rows, anchors)
-    start = next(whole.starts._of(model, rows, anchors))
-    smoothed = smooth_record(start.model, start.samples, start.assumed, learning=True)
-    angle = smoothed.outputs["theta_e"]
-    known = np.isfinite(angle)
-    if not known.any():
+    whole.starts.in_parts = False
+    angles = [rows.angle]
+    for start in whole.starts._of(model, rows, anchors):
+        smoothed = smooth_record(start.model, start.samples, start.assumed, learning=True)
+        angles.append(smoothed.outputs["theta_e"])
+    courses: list[Array] = []
+    for course in map(unwrapped, angles):
+        if course is not None and all(differ(course, other) for other in courses):
+            courses.append(course)
+    if not courses:
         raise NoEstimate
-    at = np.arange(len(angle))
-    return np.interp(at, at[known], np.unwrap(angle[known])), whole.learnt
+    return np.array(courses), whole.learnt
 
 
 def started(
@@ -82,7 +107,7 @@ def started(
         machine, sample_time, lag, rated_current, voltage=volts if ordinary else None
     )
     own = measured(voltage, current, sample_time)
-    angle, learnt = first_course(voltage, current, sample_time, machine, lag[0])
+    courses, learnt = first_courses(voltage, current, sample_time, machine, lag[0])
     begin = {}
     if learnt is not None:
         begin = {
@@ -91,7 +116,7 @@ def started(
         }
         if file.psi_f > 0:
             begin["psi_f"] = np.log(max(learnt.psi_f, 0.3 * file.psi_f))
-    return estimate(voltage, own, sample_time, file, angle, begin)
+    return estimate(voltage, own, sample_time, file, courses, begin)
 
 
 def rms(values: Array) -> float:

@@ -244,6 +244,18 @@ def test_readings_that_hardly_change_do_not_make_the_estimate_sure():
 
 
 @pytest.mark.slow
+def test_of_several_courses_the_one_that_explains_the_log_counts():
+    """One course is right within 11°; one turns once too often; one is half a turn off."""
+    c, record, _ = estimated("surface")
+    right = course(record, 0)
+    rows = np.arange(len(right))
+    courses = np.array([right + 2 * np.pi * rows / len(rows), right + np.pi, right])
+    file = file_of(1.15 * c.R, 0.85 * c.L_d, 0.85 * c.L_q, 1.1 * c.psi, 12.0)
+    for some in (courses, courses[::-1]):
+        e = estimate(record.voltage[:, 0], record.current[:, 0], H, file, some)
+        assert np.abs(degrees(e.rows["angle"], record.angle[:, 0])).max() < 1.5
+
+
 def test_a_long_log_is_learnt_on_parts_first():
     """The first stages see 8192 rows of 20,000."""
     c = replace(SURFACE, duration=2.0)
