@@ -106,7 +106,6 @@ static void begin(const fo_log *record, const fo_file *file, const fo_prior *pri
     memset(out, 0, sizeof *out);
     memcpy(out->parameters, prior->mean, sizeof prior->mean);
     begin_levels(record, file, prior, out->parameters);
-    out->parameters[FO_L_range] = 0.0;
     out->harmonics = prior->harmonics;
     for (int k = 0; parameters && k < FO_UNKNOWNS; k++)
         if (isfinite(parameters[k])) out->parameters[k] = parameters[k];
@@ -257,15 +256,12 @@ static double noise_of(const fo_log *record, const double *angle, double *spare)
     return sqrt(spare[count / 2] / median);
 }
 
-/* Rows over which the acceleration of the course is told. */
-enum { STRETCH = 25 };
-
 /* First level and unrest of the acceleration: how much that of the course changes in a stretch or beside
  * it. At least a twentieth of the prior's, since no change of a given course is known so well. */
 static void begin_unrest(const fo_problem *problem, double *parameters)
 {
-    const size_t rows = problem->log->rows, count = rows / STRETCH;
-    const double T = STRETCH * fabs(problem->log->sample_time);
+    const size_t rows = problem->log->rows, count = rows / FO_STRETCH;
+    const double T = FO_STRETCH * fabs(problem->log->sample_time);
     const double least = parameters[FO_L_acceleration] - 3.0;
     fo_course *course = problem->course;
     double *level = &parameters[FO_L_acceleration], sum = 0.0;
@@ -274,15 +270,15 @@ static void begin_unrest(const fo_problem *problem, double *parameters)
         for (size_t n = 0; n < count; n++) {
             double own = least;
             for (size_t near = n < 2 ? 1 : n - 1; near <= n + 1 && near + 2 < count; near++) {
-                const double a = course[(near - 1) * STRETCH].angle, b = course[near * STRETCH].angle;
-                const double c = course[(near + 1) * STRETCH].angle;
-                const double d = course[(near + 2) * STRETCH].angle;
+                const double a = course[(near - 1) * FO_STRETCH].angle, b = course[near * FO_STRETCH].angle;
+                const double c = course[(near + 1) * FO_STRETCH].angle;
+                const double d = course[(near + 2) * FO_STRETCH].angle;
                 const double change = (d - a + 3.0 * (b - c)) / (T * T * sqrt(T));
                 if (change != 0.0) own = fmax(own, log(fabs(change)));
             }
             if (!pass) sum += own / (double)count;
-            const size_t end = n + 1 < count ? (n + 1) * STRETCH : rows;
-            for (size_t k = n * STRETCH; pass && k < end; k++)
+            const size_t end = n + 1 < count ? (n + 1) * FO_STRETCH : rows;
+            for (size_t k = n * FO_STRETCH; pass && k < end; k++)
                 course[k].unrest = exp(2.0 * (own - sum));
         }
     *level = sum;
@@ -450,7 +446,7 @@ static void set_rest(const fo_problem *problem, const double *angle, const doubl
     }
 }
 
-/* Learns on the whole log what parts of it have told. */
+/* Learns on the whole log, from what the parts gave. */
 static bool learn_whole(learning *l)
 {
     fo_work *w = &l->work;
@@ -470,7 +466,6 @@ static bool learn(learning *l, const double *angles, size_t starts, const double
 {
     fo_work *w = &l->work;
     fo_posterior *out = l->posterior;
-    put(&l->prior, FO_L_range, 0.0, 0.0);
     if (starts > 1) {
         if (!race(l, angles, starts, parameters, spare)) return false;
     } else {

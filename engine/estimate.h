@@ -40,8 +40,8 @@ void fo_rounding_of(const fo_log *log, double *rounding);
 /* Priors of an ordinary drive. The levels scale with the log's mean voltage and the rated current. */
 fo_prior fo_ordinary_prior(const fo_log *log, const fo_file *file);
 
-/* Estimates from one or more courses that other estimates of the log give, and of which one is right:
- * `angles`, of each row of each of the `starts`, within about half a radian, finite, without jumps of a turn.
+/* Estimates from courses that other estimates of the log give. `angles`: `starts` × rows, finite, without
+ * jumps of a turn; one start must be right within about half a radian.
  * `parameters`: where learning starts, FO_UNKNOWNS; NaN, and null for all: the mean of the prior. `rows`: an
  * element for each row. */
 fo_outcome fo_estimate_log(const fo_log *log, const fo_file *file, const double *angles,

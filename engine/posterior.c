@@ -218,10 +218,9 @@ static double level(const fo_prior *prior, const fo_posterior *at)
     return sqrt(sum / (2 * FO_ORDERS + harmonics_weight));
 }
 
-/* Rows in which the unrest of the acceleration is constant, and how many rows its prior counts: a load
+/* How many rows the prior of the unrest counts, in stretches of FO_STRETCH: a load
  * step is over within a few rows, and calm rows tell little one by one. Chosen by hand on a servo of
  * tests/engine/drive_table.py: L −9 % with one level, −4.6 % with 100 rows, −4.2 % with 25. */
-enum { CALM = 25 };
 static const double calm_rows = 1.0;
 
 /* Scoring: the unrest of each stretch, with an inverse gamma prior about one. The currents see the sum of
@@ -231,8 +230,8 @@ static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course
 {
     static const double longest = 1.4;
     double sum = 0.0;
-    for (size_t first = 0; first < record->rows; first += CALM) {
-        const size_t end = first + CALM < record->rows ? first + CALM : record->rows;
+    for (size_t first = 0; first < record->rows; first += FO_STRETCH) {
+        const size_t end = first + FO_STRETCH < record->rows ? first + FO_STRETCH : record->rows;
         const double own = calm_rows / course[first].unrest;
         double slope = own - calm_rows, told = 0.0;
         for (size_t k = first; k < end; k++) {
@@ -253,7 +252,7 @@ static double unrest_penalty(const fo_course *course, size_t rows)
 {
     double sum = 0.0;
     for (size_t k = 0; k < rows; k++)
-        sum += (1.0 / course[k].unrest - 1.0) / (double)CALM;
+        sum += (1.0 / course[k].unrest - 1.0) / (double)FO_STRETCH;
     return 0.5 * calm_rows * sum;
 }
 
@@ -318,7 +317,7 @@ static double longest_swing(const swing *w, const fo_prior *prior, int k, double
     return fmin(4.0 * w->most, longest(prior, k));
 }
 
-/* A step of the logarithm of a std, from that of scoring: exact where one variance explains all squares. */
+/* Turns a scoring step into a step of ln std. The result is exact if all squares have one variance. */
 static double of_variance(double step)
 {
     return step < 0.5 ? -0.5 * log1p(-2.0 * step) : HUGE_VAL;
@@ -359,7 +358,7 @@ static bool trusted_steps(const selection *s, const fo_prior *prior, const doubl
     return false;
 }
 
-/* Moves the parameters; returns what the step is expected to gain, or infinity if there is none. */
+/* Moves the parameters. Returns the expected gain; infinity if no step can be trusted. */
 static double move(const selection *s, const fo_prior *prior, const double *g, double H[MOST][MOST],
                    double *damping, swing *swings, double *parameters)
 {

@@ -26,6 +26,9 @@ typedef struct {
     bool converged;     /* false: the bound on evaluations ended it */
 } fo_posterior;
 
+/* Rows in which the unrest of the acceleration is constant. */
+enum { FO_STRETCH = 25 };
+
 /* Rows of a log that follow each other. */
 typedef struct {
     size_t first, rows;

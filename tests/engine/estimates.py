@@ -99,7 +99,7 @@ def estimate(
     angle: Array,
     parameters: dict[str, float] | None = None,
 ) -> Estimate:
-    """Estimate a log from a course of the angle, or from several (rows) of which one is right.
+    """Estimate a log from one course of the angle, or from several, one in each row.
 
     NoEstimate if the log contradicts them. `parameters`: where learning starts, instead of the
     machine file.

@@ -1,4 +1,4 @@
-"""Where the engine starts: the observer forwards, and passes of the smoother over the log."""
+"""First courses of the engine: from the forward observer, and from the smoother."""
 
 from __future__ import annotations
 

@@ -243,7 +243,6 @@ def test_readings_that_hardly_change_do_not_make_the_estimate_sure():
     assert np.mean(squares) < 1.5
 
 
-@pytest.mark.slow
 def test_of_several_courses_the_one_that_explains_the_log_counts():
     """One course is right within 11°; one turns once too often; one is half a turn off."""
     c, record, _ = estimated("surface")
@@ -256,6 +255,7 @@ def test_of_several_courses_the_one_that_explains_the_log_counts():
         assert np.abs(degrees(e.rows["angle"], record.angle[:, 0])).max() < 1.5
 
 
+@pytest.mark.slow
 def test_a_long_log_is_learnt_on_parts_first():
     """The first stages see 8192 rows of 20,000."""
     c = replace(SURFACE, duration=2.0)
