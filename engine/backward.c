@@ -187,13 +187,20 @@ static void pass_measurement_by(const fo_row *row, double H[2][S], adjoint *a)
             a->by[r][j] -= H[0][r] * g[0][j] + H[1][r] * g[1][j];
 }
 
-static void smooth_course(const fo_row *row, const adjoint *a, fo_course *out)
+/* The next place to linearise at: the smoothed angle and current, and the flux that belongs to them. A step of
+ * the angle is at most a quarter of a turn, as that of an arrow whose tip moves along the tangent. */
+static void smooth_course(const fo_model *m, const fo_row *row, const adjoint *a, fo_course *out)
 {
-    double x[FO_OWN];
+    double x[FO_OWN], i[2];
     for (int s = 0; s < FO_OWN; s++) x[s] = row->own[s] - dot(row->P[s], a->lambda);
-    memcpy(out->flux, x + FO_FLUX, sizeof out->flux);
-    out->angle = x[FO_ANGLE];
+    const double turn = x[FO_ANGLE] - out->angle;
+    for (int n = 0; n < 2; n++)
+        i[n] = row->current[n] + row->slope[n][FO_BY_ALPHA] * (x[FO_FLUX] - out->flux[0]) +
+               row->slope[n][FO_BY_BETA] * (x[FO_FLUX + 1] - out->flux[1]) +
+               row->slope[n][FO_BY_ANGLE] * turn + row->slope[n][FO_BY_PSI] * (x[FO_PSI] - out->psi);
+    out->angle += atan(turn);
     out->psi = x[FO_PSI];
+    fo_flux_at(m, out->angle, out->psi, i, out->flux);
 }
 
 /* Smoothed noise: R (S⁻¹ e + Kᵀ λ), with the variance R − R (S⁻¹ + Kᵀ Λ K) R; white noise of both
@@ -284,7 +291,10 @@ void fo_backward(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
                 if (score && !counts)
                     pass_transition(&m, h, course + k, row, &elements, &counting, score);
             }
-            if (out->course) smooth_course(row, &all, out->course + n);
+            if (out->course) {
+                out->course[n] = course[k];
+                smooth_course(&m, row, &all, out->course + n);
+            }
             if (out->smoothed)
                 smooth_row(row, &all, h, parameters[FO_L_delay], out->covariance,
                            out->smoothed + n);

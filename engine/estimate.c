@@ -4,10 +4,13 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "thinning.h"
+
 enum {
     SKIPPED = 20, /* rows until innovations count: the first speed is rough */
     MOST = 120,   /* evaluations, at most */
-    RACE = 12,    /* of each start, if there are several: levels and loss are nearly right then */
+    RACE = 12,    /* of each start, if there are several: levels and loss are nearly right then. On a log
+                   * that is thinned n times, n times as many: they cost the same */
     FIRST = 4,    /* of a range, until it is tried in earnest */
     TRIED = 40    /* then */
 };
@@ -256,6 +259,9 @@ static double noise_of(const fo_log *record, const double *angle, double *spare)
     return sqrt(spare[count / 2] / median);
 }
 
+/* Least first unrest: far below one, its prior would outweigh the currents. */
+static const double calmest = 0.05;
+
 /* First level and unrest of the acceleration: how much that of the course changes in a stretch or beside
  * it. At least a twentieth of the prior's, since no change of a given course is known so well. */
 static void begin_unrest(const fo_problem *problem, double *parameters)
@@ -279,7 +285,7 @@ static void begin_unrest(const fo_problem *problem, double *parameters)
             if (!pass) sum += own / (double)count;
             const size_t end = n + 1 < count ? (n + 1) * FO_STRETCH : rows;
             for (size_t k = n * FO_STRETCH; pass && k < end; k++)
-                course[k].unrest = exp(2.0 * (own - sum));
+                course[k].unrest = fmax(exp(2.0 * (own - sum)), calmest);
         }
     *level = sum;
 }
@@ -292,7 +298,11 @@ enum { ROUGH = 2 };
 /* What learning needs: two courses, the second for a trial. */
 typedef struct {
     const fo_file *file;
+    fo_machine machine;
+    fo_start start;
+    fo_log log;
     const double *angle;
+    double *rounding, *spare; /* a number for each row */
     fo_work work;
     fo_part parts[PARTS], whole;
     size_t count;
@@ -383,6 +393,8 @@ static bool race(learning *l, const double *angles, size_t count, const double *
                  double *spare)
 {
     const size_t rows = l->work.problem.log->rows;
+    const size_t thinned = l->log.periods ? l->log.periods : 1;
+    const size_t most = thinned * RACE < MOST ? thinned * RACE : MOST;
     size_t evaluations = 0;
     bool any = false;
     for (size_t n = 0; n < count; n++) {
@@ -390,7 +402,7 @@ static bool race(learning *l, const double *angles, size_t count, const double *
         const double *angle = angles + n * rows;
         l->work.problem.course = l->other;
         begin_learning(l, angle, parameters, spare, &tried);
-        const bool learnt = fo_learn(&l->work, &l->prior, fine, RACE, &tried);
+        const bool learnt = fo_learn(&l->work, &l->prior, fine, most, &tried);
         evaluations += tried.evaluations;
         if (!learnt || (any && tried.objective >= l->posterior->objective)) continue;
         any = true;
@@ -432,6 +444,30 @@ static void try_range(learning *l)
     w->problem.course = l->course;
 }
 
+/* Voltages that act earlier than this [samples]: they may be those of the next row. */
+static const double early = -0.02;
+
+/* Is the voltage of the next row already there before it? The score of its share would not have mean zero
+ * if it answers the noise of that row, so it is tried, not a value between. */
+static void try_early(learning *l)
+{
+    fo_work *w = &l->work;
+    const double *p = l->posterior->parameters;
+    if (!(p[FO_L_lag] + p[FO_L_delay] < early)) return;
+    fo_posterior tried = *l->posterior;
+    w->problem.course = l->other;
+    memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
+    l->log.early = true;
+    const bool learnt = fo_learn(w, &l->prior, fine, MOST, &tried);
+    l->posterior->evaluations = tried.evaluations;
+    l->log.early = learnt && tried.objective < l->posterior->objective;
+    if (l->log.early) {
+        *l->posterior = tried;
+        exchange_courses(l);
+    }
+    w->problem.course = l->course;
+}
+
 /* The course between the parts. */
 static void set_rest(const fo_problem *problem, const double *angle, const double *parameters,
                      const fo_part *parts, size_t count, fo_course *other)
@@ -461,21 +497,27 @@ static bool learn_whole(learning *l)
            fo_learn(w, &l->prior, fine, MOST, l->posterior);
 }
 
-static bool learn(learning *l, const double *angles, size_t starts, const double *parameters,
-                  double *spare, fo_smoothed *rows)
+static bool learn(learning *l, const double *angles, size_t starts, const double *parameters)
 {
     fo_work *w = &l->work;
     fo_posterior *out = l->posterior;
     if (starts > 1) {
-        if (!race(l, angles, starts, parameters, spare)) return false;
+        if (!race(l, angles, starts, parameters, l->spare)) return false;
     } else {
-        begin_learning(l, angles, parameters, spare, out);
+        l->angle = angles;
+        begin_learning(l, angles, parameters, l->spare, out);
     }
     if (!fo_learn(w, &l->prior, fine, MOST, out)) return false;
     try_range(l);
-    if (l->count > 1 && !learn_whole(l)) return false;
+    return l->count == 1 || learn_whole(l);
+}
+
+static bool smooth(learning *l, fo_smoothed *rows)
+{
+    fo_work *w = &l->work;
+    fo_posterior *out = l->posterior;
     fo_likelihood last;
-    if (!fo_innovations(&w->problem, out->parameters, true, &last, w->checkpoints) ||
+    if (!fo_innovations(&w->problem, out->parameters, FO_OF_ALL, &last, w->checkpoints) ||
         !fo_covariance(&last, &l->prior, out))
         return false;
     const fo_outputs wanted = {.smoothed = rows, .covariance = out->covariance};
@@ -483,41 +525,142 @@ static bool learn(learning *l, const double *angles, size_t starts, const double
     return true;
 }
 
+static void free_learning(learning *l)
+{
+    free(l->rounding);
+    free(l->spare);
+    free(l->course);
+    free(l->other);
+    free(l->work.checkpoints);
+    free(l->work.rows);
+    free(l->work.squares);
+    free(l->work.before);
+}
+
+/* False: no memory. `l` is freed in any case. */
+static bool open_learning(const fo_log *record, const fo_file *file, const fo_prior *prior,
+                          fo_posterior *posterior, learning *l)
+{
+    const size_t count = record->rows;
+    *l = (learning){.file = file,
+                    .machine = machine_of(file),
+                    .start = any_start(record, file),
+                    .log = *record,
+                    .rounding = malloc(count * sizeof *l->rounding),
+                    .spare = malloc(count * sizeof *l->spare),
+                    .whole = {0, count},
+                    .prior = *prior,
+                    .posterior = posterior,
+                    .course = malloc(count * sizeof *l->course),
+                    .other = malloc(count * sizeof *l->other)};
+    l->log.rounding = l->rounding;
+    l->count = parts_of(record, l->parts);
+    l->work = (fo_work){.problem = {&l->log, &l->machine, &l->start, l->course},
+                        .parts = l->parts,
+                        .count = l->count,
+                        .checkpoints = malloc((fo_checkpoints(count) + PARTS) * sizeof(fo_filter)),
+                        .rows = malloc(FO_CHUNK * sizeof(fo_row)),
+                        .squares = malloc(count * sizeof(fo_squares)),
+                        .before = malloc(count * sizeof(fo_course))};
+    if (!l->rounding || !l->spare || !l->course || !l->other || !l->work.checkpoints ||
+        !l->work.rows || !l->work.squares || !l->work.before) {
+        free_learning(l);
+        return false;
+    }
+    fo_rounding_of(record, l->rounding);
+    return true;
+}
+
+/* What is in samples, in those of a thinned log, or back. */
+static void count_in(const fo_thinned *thin, bool back, double *lag, double *delay)
+{
+    const double n = (double)thin->factor, shift = (double)thin->shift;
+    *lag = back ? *lag * n + shift : (*lag - shift) / n;
+    *delay = back ? *delay * n : *delay / n;
+}
+
+static fo_prior thinned_prior(const fo_prior *prior, const fo_thinned *thin)
+{
+    fo_prior own = *prior;
+    count_in(thin, false, &own.mean[FO_L_lag], &own.mean[FO_L_delay]);
+    own.std[FO_L_lag] /= (double)thin->factor;
+    own.std[FO_L_delay] /= (double)thin->factor;
+    return own;
+}
+
+/* Course and parameters of a thinned log for that of which it is made. */
+static void take_over(const learning *from, const fo_thinned *thin, learning *l)
+{
+    const fo_course *course = from->work.problem.course;
+    const size_t rows = l->log.rows;
+    fo_posterior *out = l->posterior;
+    *out = *from->posterior;
+    count_in(thin, true, &out->parameters[FO_L_lag], &out->parameters[FO_L_delay]);
+    l->prior.mean[FO_L_range] = from->prior.mean[FO_L_range];
+    l->prior.std[FO_L_range] = from->prior.std[FO_L_range];
+    fo_fill(course, from->log.rows, thin->factor, l->course, rows);
+    for (size_t k = 0; k < rows; k++)
+        l->course[k].unrest = course[k / FO_STRETCH * FO_STRETCH / thin->factor].unrest;
+    l->work.parts = &l->whole;
+    l->work.count = 1;
+}
+
+/* From one level to the next, the log is thinned so many times more. */
+enum { RATIO = 4 };
+
+/* Learns first on the log thinned by `factor`, a power of two, then on all of it. */
+static fo_outcome learn_levels(learning *l, size_t factor, const double *angles, size_t starts,
+                               const double *parameters)
+{
+    if (factor == 1) return learn(l, angles, starts, parameters) ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    const size_t ratio = factor < RATIO ? factor : RATIO;
+    const size_t rows = l->log.rows, count = (rows + ratio - 1) / ratio;
+    fo_thinned thin;
+    fo_posterior posterior;
+    learning own;
+    double begin[FO_UNKNOWNS], *some = malloc(starts * count * sizeof *some);
+    fo_outcome outcome = FO_NO_MEMORY;
+    if (fo_thin(&l->log, ratio, l->prior.mean[FO_L_lag], &thin)) {
+        const fo_prior prior = thinned_prior(&l->prior, &thin);
+        for (int k = 0; k < FO_UNKNOWNS; k++) begin[k] = parameters ? parameters[k] : NAN;
+        count_in(&thin, false, &begin[FO_L_lag], &begin[FO_L_delay]);
+        if (some && open_learning(&thin.log, l->file, &prior, &posterior, &own)) {
+            for (size_t n = 0; n < starts; n++)
+                for (size_t k = 0; k < count; k++) some[n * count + k] = angles[n * rows + k * ratio];
+            outcome = learn_levels(&own, factor / ratio, some, starts, begin);
+            if (outcome == FO_ESTIMATED) take_over(&own, &thin, l);
+            free_learning(&own);
+        }
+        fo_free_thinned(&thin);
+    }
+    free(some);
+    if (outcome == FO_ESTIMATED && !fo_learn(&l->work, &l->prior, fine, MOST, l->posterior))
+        outcome = FO_NO_ESTIMATE;
+    return outcome;
+}
+
+/* Time constant of the current, its inverse [1/s]. */
+static double decay_of(const fo_file *file)
+{
+    const double d = file->L_d, q = file->L_q;
+    return file->map ? 0.0 : file->R / fmin(d, q);
+}
+
 fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angles,
                            size_t starts, const double *parameters, fo_posterior *posterior,
                            fo_smoothed *rows)
 {
-    const fo_machine machine = machine_of(file);
-    const fo_start start = any_start(record, file);
-    const size_t count = record->rows;
-    double *rounding = malloc(count * sizeof *rounding), *spare = malloc(count * sizeof *spare);
-    fo_log log = *record;
-    log.rounding = rounding;
-    learning l = {.file = file, .angle = angles, .whole = {0, count}, .posterior = posterior};
-    l.prior = fo_ordinary_prior(record, file);
-    l.course = malloc(count * sizeof *l.course);
-    l.other = malloc(count * sizeof *l.other);
-    l.count = parts_of(record, l.parts);
-    l.work = (fo_work){.problem = {&log, &machine, &start, l.course},
-                       .parts = l.parts,
-                       .count = l.count,
-                       .checkpoints = malloc((fo_checkpoints(count) + PARTS) * sizeof(fo_filter)),
-                       .rows = malloc(FO_CHUNK * sizeof(fo_row)),
-                       .squares = malloc(count * sizeof(fo_squares)),
-                       .before = malloc(count * sizeof(fo_course))};
-    fo_outcome outcome = FO_NO_MEMORY;
-    if (rounding && spare && l.course && l.other && l.work.checkpoints && l.work.rows &&
-        l.work.squares && l.work.before) {
-        fo_rounding_of(record, rounding);
-        outcome = learn(&l, angles, starts, parameters, spare, rows) ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    const fo_prior prior = fo_ordinary_prior(record, file);
+    learning l;
+    if (!open_learning(record, file, &prior, posterior, &l)) return FO_NO_MEMORY;
+    size_t factor = 1;
+    for (size_t n = 0; n < starts; n++) {
+        const size_t own = fo_thinning(record, angles + n * record->rows, decay_of(file));
+        if (own > factor) factor = own;
     }
-    free(rounding);
-    free(spare);
-    free(l.course);
-    free(l.other);
-    free(l.work.checkpoints);
-    free(l.work.rows);
-    free(l.work.squares);
-    free(l.work.before);
+    fo_outcome outcome = learn_levels(&l, factor, angles, starts, parameters);
+    if (outcome == FO_ESTIMATED) try_early(&l);
+    if (outcome == FO_ESTIMATED && !smooth(&l, rows)) outcome = FO_NO_ESTIMATE;
+    free_learning(&l);
     return outcome;
 }

@@ -178,12 +178,15 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
         }
     }
     if (!counted) return;
+    /* A misfit would inflate the part of the means, and the levels would creep. */
+    const double square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
+    const double fits = square > 1.0 ? 1.0 / square : 1.0;
     for (int l = 0; l < FO_VARIANCES; l++)
         for (int n = 0; n <= l; n++) {
             double *sum = q->out->information + l * FO_UNKNOWNS + n;
             for (int a = 0; a < 2; a++)
                 for (int b = 0; b < 2; b++)
-                    *sum += e[l][a] * z->V[a][b] * e[n][b] + 0.5 * VS[l][a][b] * VS[n][b][a];
+                    *sum += fits * e[l][a] * z->V[a][b] * e[n][b] + 0.5 * VS[l][a][b] * VS[n][b][a];
         }
 }
 
@@ -252,12 +255,13 @@ static void measure_sensitivity(const fo_prediction *p, const update *z, fo_filt
 }
 
 /* Adds a row to the objective, to the score through the means, and to the information. */
-static void count(const update *z, double by[2][FO_SENSITIVE], fo_likelihood *out)
+static void count(const update *z, double by[2][FO_SENSITIVE], bool sensitive, fo_likelihood *out)
 {
     const double square = z->e[0] * z->w[0] + z->e[1] * z->w[1];
     out->objective += 0.5 * (square + log(z->det));
     out->mean_square += 0.5 * square;
     out->counted++;
+    if (!sensitive) return;
     double *score = out->score + FO_LEVELS;
     for (int j = 0; j < FO_SENSITIVE; j++) score[j] += by[0][j] * z->w[0] + by[1][j] * z->w[1];
     for (int r = MODEL; r < FO_SENSITIVE; r++) {
@@ -287,6 +291,7 @@ typedef struct {
     double place; /* of the interval in the log, from 0 to 1 */
     const fo_course *from, *to;
     const fo_prediction *at, *next;
+    size_t periods;
 } interval;
 
 /* The electrical part of an interval. Flux and current change within it. With X = h R ∂i/∂λ the current
@@ -340,12 +345,13 @@ static electrical electrical_of(const fo_model *m, const interval *t)
 {
     electrical e;
     const fo_pair *from = &t->at->terminal, *to = &t->next->terminal;
-    const fo_signs about = fo_signs_of(m, 0.5 * (from->a.d[0] + to->a.d[0]),
-                                       0.5 * (from->b.d[0] + to->b.d[0]));
+    const double along[2] = {to->a.d[0] - from->a.d[0], to->b.d[0] - from->b.d[0]};
+    const double about[2] = {from->a.d[0] + 0.5 * along[A], from->b.d[0] + 0.5 * along[B]};
+    const fo_signs rough = fo_signs_of(m, about, along, t->periods);
     e.R = fo_scale(1.0 + m->heat * t->place, m->R);
     for (int a = 0; a < 2; a++)
         for (int b = 0; b < 2; b++) {
-            e.slope[a][b] = fo_constant(t->h * m->loss * about.by_current[a][b]);
+            e.slope[a][b] = fo_constant(t->h * m->loss * rough.by_current[a][b]);
             if (a == b) e.slope[a][b] = fo_axpy(e.slope[a][b], t->h, e.R);
         }
     const fo_dual hR = fo_scale(t->h, e.R);
@@ -369,7 +375,8 @@ static electrical electrical_of(const fo_model *m, const interval *t)
     e.M[0][1] = fo_scale(-1.0, fo_mul(whole[0][1], inverse));
     e.M[1][0] = fo_scale(-1.0, fo_mul(whole[1][0], inverse));
     currents_of(t, &e);
-    e.sign = fo_signs_of(m, e.middle.a.d[0], e.middle.b.d[0]);
+    const double middle[2] = {e.middle.a.d[0], e.middle.b.d[0]};
+    e.sign = fo_signs_of(m, middle, along, t->periods);
     return e;
 }
 
@@ -717,10 +724,14 @@ static void advance(const pass *q, const interval *t, const update *z, const dou
 }
 
 /* Keeps what the filter knows after the measurement update of a row. */
-static void keep_row(const fo_filter *f, const update *z, double error_by[2][FO_SENSITIVE],
-                     bool sensitive, fo_row *row)
+static void keep_row(const fo_filter *f, const fo_prediction *at, const update *z,
+                     double error_by[2][FO_SENSITIVE], bool sensitive, fo_row *row)
 {
     memcpy(row->own, f->x, sizeof row->own);
+    for (int a = 0; a < 2; a++) {
+        row->current[a] = a ? at->current.b.d[0] : at->current.a.d[0];
+        for (int k = 0; k < FO_BY; k++) row->slope[a][k] = at->slope[a][k].d[0];
+    }
     memcpy(row->P, f->P, sizeof row->P);
     row->measured = z;
     if (sensitive) {
@@ -781,24 +792,25 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
         const double rounding = log->rounding ? log->rounding[k] : 0.0;
         if (!measure(q, i, rounding, at, f, counted, &z)) return false;
         if (q->sensitive) measure_sensitivity(at, &z, f, error_by);
-        if (counted) count(&z, error_by, q->out);
+        if (counted) count(&z, error_by, q->sensitive, q->out);
         for (int a = 0; a < 2; a++) residual[a] = z.R[a][0] * z.w[0] + z.R[a][1] * z.w[1];
     }
     if (!isfinite(f->x[FO_ANGLE])) return false;
-    if (row) keep_row(f, seen ? &z : NULL, error_by, q->sensitive, row);
+    if (row) keep_row(f, at, seen ? &z : NULL, error_by, q->sensitive, row);
     f->row++;
     if (f->row == log->rows) return true;
     f->turning = (q->course[1].angle - q->course[0].angle) / h;
     memcpy(f->rotor, at->rotor, sizeof f->rotor);
     fo_predict(q->m, q->course + 1, f->turning, f->rotor, next);
-    /* A late voltage mixes with that of the row before, an early one with the next. */
-    const double *held = f->voltage, *v = u + 2;
-    const double *after = isfinite(v[0]) && isfinite(v[1]) ? v : held;
-    const bool early = q->m->lag < 0.0;
+    /* A late voltage mixes with that of the row before. An early one mixes with the next, which may answer
+     * the noise of the current that it would predict, or is extrapolated. */
+    const double *held = f->voltage, *after = u + 2;
+    const bool mixes = log->early && q->m->lag < 0.0 && isfinite(after[0]) && isfinite(after[1]);
     const interval t = {h, {held[0], held[1]},
-                        {early ? held[0] - after[0] : before[0] - held[0],
-                         early ? held[1] - after[1] : before[1] - held[1]},
-                        place_of(log, k), q->course, q->course + 1, at, next};
+                        {mixes ? held[0] - after[0] : before[0] - held[0],
+                         mixes ? held[1] - after[1] : before[1] - held[1]},
+                        place_of(log, k), q->course, q->course + 1, at, next,
+                        log->periods ? log->periods : 1};
     transition F;
     advance(q, &t, seen ? &z : NULL, residual, f, &F);
     if (!known) { /* held, and as uncertain as it is large */
@@ -822,17 +834,17 @@ size_t fo_checkpoints(size_t rows)
     return (rows + FO_CHUNK - 1) / FO_CHUNK;
 }
 
-bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], bool variances,
+bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], fo_detail detail,
                     fo_likelihood *out, fo_filter *checkpoints)
 {
     const fo_model m = fo_model_of(problem->machine, parameters);
     by_variance by[FO_VARIANCES];
-    pass q = {problem->log, problem->course, &m, fo_elements_of(&m), true, NULL,
+    pass q = {problem->log, problem->course, &m, fo_elements_of(&m), detail > FO_OBJECTIVE, NULL,
               problem->start->skipped, out};
     fo_filter f;
     start_at(problem, &m, &f);
     memset(out, 0, sizeof *out);
-    if (variances) {
+    if (detail == FO_OF_ALL) {
         memset(by, 0, sizeof by);
         for (int r = FO_NOISE; r < S; r++) {
             by[FO_L_noise].P[r][r] = 2.0 * f.P[r][r];

@@ -49,6 +49,8 @@ typedef struct {
     const double *current; /* [A] */
     const double *rounding; /* variance of each row that its rounding adds to its noise [A²], or null */
     size_t first, whole;   /* of a part: its place in the whole log, and the rows of this; or 0 */
+    size_t periods;        /* of the inverter in a row; 0: one */
+    bool early;            /* a voltage that acts early is that of the next row; else it is extrapolated */
 } fo_log;
 
 /* What is known before the first row: standard deviations about the course. */
@@ -89,6 +91,7 @@ typedef struct {
 /* What the filter knows at a row, for the way back. */
 typedef struct {
     double own[FO_OWN];                 /* after the measurement */
+    double current[2], slope[2][FO_BY]; /* that makes flux, at the course, and its derivatives */
     double P[FO_STATES][FO_STATES];     /* its covariance */
     double error[2], V[2][2];           /* innovation, inverse of its covariance */
     double noise[2][2];                 /* covariance of the noise, without rounding */
@@ -117,11 +120,17 @@ fo_elements fo_elements_of(const fo_model *m);
 /* Checkpoints of a log: one for each chunk of its rows. */
 size_t fo_checkpoints(size_t rows);
 
-/* Objective and information at the parameters: FO_L, then two coefficients of each harmonic [Wb]. The
- * score is complete for the parameters of the means only; fo_backward completes it. The information of
- * levels and colour costs as much as the rest: `variances` false leaves it out. False: a number is not finite, or
- * a covariance is not positive. */
-bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], bool variances,
+/* How much is evaluated; each contains those before. */
+typedef enum {
+    FO_OBJECTIVE,
+    FO_OF_THE_MODEL, /* score and information of the parameters of model and means */
+    FO_OF_ALL        /* information of levels and colour; costs as much as the rest */
+} fo_detail;
+
+/* Objective, score and information at the parameters: FO_L, then two coefficients of each harmonic [Wb].
+ * The score is complete for the parameters of the means only; fo_backward completes it. False: a number
+ * is not finite, or a covariance is not positive. */
+bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], fo_detail detail,
                     fo_likelihood *out, fo_filter *checkpoints);
 
 /* `count` rows from a checkpoint on again. `course`: of these rows and the next. The derivatives of angle

@@ -209,13 +209,17 @@ bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior 
     return invert(&s, H, out->covariance);
 }
 
-/* Level at which the expected coefficients and the prior agree (ML-II, one step of EM). */
+/* Level at which the evidence is largest: the coefficients that the log tells, in number Σ (1 − variance/level²),
+ * and the prior agree (MacKay's fixed point; EM creeps where the log hardly tells them). */
 static double level(const fo_prior *prior, const fo_posterior *at)
 {
-    double sum = harmonics_weight * pow(harmonics_share * prior->harmonics, 2.0);
-    for (int k = FO_L; k < FO_UNKNOWNS; k++)
-        sum += at->parameters[k] * at->parameters[k] + at->covariance[k * FO_UNKNOWNS + k];
-    return sqrt(sum / (2 * FO_ORDERS + harmonics_weight));
+    const double now = at->harmonics * at->harmonics;
+    double sum = harmonics_weight * pow(harmonics_share * prior->harmonics, 2.0), told = 0.0;
+    for (int k = FO_L; k < FO_UNKNOWNS; k++) {
+        sum += at->parameters[k] * at->parameters[k];
+        told += fmax(1.0 - at->covariance[k * FO_UNKNOWNS + k] / now, 0.0);
+    }
+    return sqrt(sum / (told + harmonics_weight));
 }
 
 /* How many rows the prior of the unrest counts, in stretches of FO_STRETCH: a load
@@ -403,14 +407,15 @@ static void part_of(const fo_work *w, size_t n, part *out)
     const fo_log *log = w->problem.log;
     out->log = (fo_log){own->rows, log->sample_time, log->voltage + 2 * own->first,
                         log->current + 2 * own->first,
-                        log->rounding ? log->rounding + own->first : NULL, own->first, log->rows};
+                        log->rounding ? log->rounding + own->first : NULL, own->first, log->rows,
+                        log->periods, log->early};
     out->problem = (fo_problem){&out->log, w->problem.machine, w->problem.start,
                                 w->problem.course + own->first};
     out->checkpoints = w->checkpoints + own->first / FO_CHUNK + n;
 }
 
 /* Objective and information: the sum over the parts. */
-static bool sum_innovations(const fo_work *w, const double *parameters, bool variances,
+static bool sum_innovations(const fo_work *w, const double *parameters, fo_detail detail,
                             fo_likelihood *sum)
 {
     memset(sum, 0, sizeof *sum);
@@ -418,7 +423,7 @@ static bool sum_innovations(const fo_work *w, const double *parameters, bool var
         part own;
         fo_likelihood at;
         part_of(w, n, &own);
-        if (!fo_innovations(&own.problem, parameters, variances, &at, own.checkpoints)) return false;
+        if (!fo_innovations(&own.problem, parameters, detail, &at, own.checkpoints)) return false;
         sum->objective += at.objective;
         sum->mean_square += at.mean_square * (double)at.counted;
         sum->counted += at.counted;
@@ -451,7 +456,7 @@ static bool evaluate(const fo_work *w, const double *parameters, variance_inform
     for (int k = 0; k < FO_VARIANCES; k++)
         again = again || fabs(parameters[k] - variances->at[k]) > stale;
     out->evaluations++;
-    if (!sum_innovations(w, parameters, again, at)) return false;
+    if (!sum_innovations(w, parameters, again ? FO_OF_ALL : FO_OF_THE_MODEL, at)) return false;
     if (again) {
         memcpy(variances->at, parameters, sizeof variances->at);
         variances->known = true;
@@ -470,6 +475,11 @@ static bool evaluate(const fo_work *w, const double *parameters, variance_inform
 static void save_course(const fo_work *w)
 {
     memcpy(w->before, w->problem.course, w->problem.log->rows * sizeof *w->before);
+}
+
+static void restore_course(const fo_work *w)
+{
+    memcpy(w->problem.course, w->before, w->problem.log->rows * sizeof *w->before);
 }
 
 /* Takes half of the course's last step back: a Gauss–Newton step may be too long where the log hardly
@@ -493,19 +503,45 @@ enum { HALVINGS = 8 };
 bool fo_settle(const fo_work *w, const double *parameters, int passes)
 {
     fo_likelihood at;
-    if (!sum_innovations(w, parameters, false, &at)) return false;
+    if (!sum_innovations(w, parameters, FO_OBJECTIVE, &at)) return false;
     for (int n = 0; n < passes; n++) {
         const double limit = at.objective + slack;
         save_course(w);
         sum_backward(w, parameters, true, false, NULL);
         for (int k = 0; k < HALVINGS; k++, halve_course(w))
-            if (sum_innovations(w, parameters, false, &at) && at.objective <= limit) break;
+            if (sum_innovations(w, parameters, FO_OBJECTIVE, &at) && at.objective <= limit) break;
     }
     return true;
 }
 
-/* After the first evaluation, the course is the smoothed one; about the given one, which follows the noise
- * of the currents, the objective is too small. */
+/* Trials of a step, until unrest and doubt are held responsible: the base is evaluated with the new ones. */
+enum { TRIALS = 4 };
+
+/* Half squares a row by which a step of the course may raise the objective. Assumed. */
+static const double too_far = 0.1;
+
+/* The likelihood at other parameters. The course follows them: about another, the objective would be that of a
+ * linearisation elsewhere. A step of the course that raises the objective beyond `limit` is halved. */
+static bool evaluate_there(const fo_work *w, const double *parameters, double limit,
+                           variance_information *variances, fo_posterior *out, fo_likelihood *at)
+{
+    fo_likelihood first;
+    if (!sum_innovations(w, parameters, FO_OBJECTIVE, &first)) return false;
+    save_course(w);
+    sum_backward(w, parameters, true, false, NULL);
+    bool good = evaluate(w, parameters, variances, out, at);
+    const double most = fmax(limit, first.objective + too_far * (double)first.counted);
+    for (int n = 0; n < HALVINGS && !(good && at->objective <= most); n++) {
+        halve_course(w);
+        good = evaluate(w, parameters, variances, out, at);
+    }
+    return good;
+}
+
+/* Learning ends if so many accepted steps have not gained what one should: levels that swing about their
+ * values expect more than they gain. */
+enum { IDLE = 4 };
+
 bool fo_learn(const fo_work *w, const fo_prior *prior, double gain, size_t most, fo_posterior *out)
 {
     const selection s = selected(prior);
@@ -516,31 +552,35 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, double gain, size_t most,
     double g[MOST], H[MOST][MOST], tried[FO_UNKNOWNS], damping = 0.0, expected = HUGE_VAL;
     swing swings[MOST] = {{0.0, 0.0, false}};
     bool based = false; /* out holds accepted parameters, g and H their derivatives */
+    int failed = 0, idle = 0;
+    double least = HUGE_VAL;
     memcpy(tried, out->parameters, sizeof tried);
     out->converged = false;
     for (size_t k = 0; k < log->rows; k++) w->squares[k] = (fo_squares){1.0, 0.0, 2.0};
     for (size_t n = 0; n < most; n++) {
-        const bool good = evaluate(w, tried, &variances, out, &at);
-        if (!good && !based) return false;
+        const bool same = based && !memcmp(tried, out->parameters, sizeof tried);
         penalty own = penalty_at(prior, tried, out->harmonics);
         const double rest = own.value + course_penalty(course, log->rows);
-        const double limit = out->objective + slack - rest;
-        const bool same = based && !memcmp(tried, out->parameters, sizeof tried);
+        const double limit = based ? out->objective + slack - rest : -HUGE_VAL;
+        const bool good = evaluate_there(w, tried, limit, &variances, out, &at);
+        if (!good && !based) return false;
+        double objective = at.objective + rest;
         if (based && !same && !(good && at.objective <= limit)) {
-            /* Shorter. If no step is better about this course, it is the base about this course. */
             damping = fmax(10.0 * damping, 1.0);
             for (int k = 0; k < s.count; k++) swings[k].failed = true;
+            restore_course(w);
             memcpy(tried, out->parameters, sizeof tried);
-            halve_course(w);
-            expected = move(&s, prior, g, H, &damping, swings, tried);
+            if (++failed < TRIALS) expected = move(&s, prior, g, H, &damping, swings, tried);
             continue;
         }
-        if (!good) return false;
-        double objective = at.objective + rest;
+        if (!good) break;
+        failed = 0;
         const double gained = based ? out->objective - objective : HUGE_VAL;
         memcpy(out->parameters, tried, sizeof tried);
         out->mean_square = at.mean_square;
-        out->converged = expected < gain && fabs(gained) < 10.0 * gain;
+        idle = objective < least - gain ? 0 : idle + 1;
+        least = fmin(least, objective);
+        out->converged = (expected < gain && fabs(gained) < 10.0 * gain) || idle == IDLE;
         if (!out->converged) {
             save_course(w);
             sum_backward(w, tried, true, true, at.score);
@@ -555,16 +595,10 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, double gain, size_t most,
             reduced(&s, &at, &own, g, H);
         }
         out->objective = objective;
+        based = true;
         if (out->converged) break;
         learn_doubt(w->squares, log->rows, course);
         learn_unrest(log, w->squares, course);
-        if (!based) {
-            based = true;
-            if (!evaluate(w, tried, &variances, out, &at)) return false;
-            sum_backward(w, tried, false, false, at.score);
-            out->objective = at.objective + own.value + course_penalty(course, log->rows);
-            reduced(&s, &at, &own, g, H);
-        }
         for (int k = 0; k < s.count; k++) swings[k].failed = false;
         damping *= 0.1;
         expected = move(&s, prior, g, H, &damping, swings, tried);

@@ -232,6 +232,20 @@ static void harmonics_of(const fo_model *m, double c, double s, harmonics_at *ou
     }
 }
 
+void fo_flux_at(const fo_model *m, double angle, double psi, const double current[2], double flux[2])
+{
+    const double c = cos(angle), s = sin(angle);
+    const double rotor[2] = {c * current[A] + s * current[B], c * current[B] - s * current[A]};
+    double own[2];
+    harmonics_at h;
+    harmonics_of(m, c, s, &h);
+    fo_flux_of(m, psi + m->psi.d[0], rotor, own);
+    own[D] += h.value[D];
+    own[Q] += h.value[Q];
+    flux[A] = c * own[D] - s * own[Q];
+    flux[B] = s * own[D] + c * own[Q];
+}
+
 /* Derivatives of the current and of ∂i/∂θ by the harmonics: −e^{jθ} Λ e^{jhθ} (a + j b), and
  * −e^{jθ} (j Λ + Λ j h) e^{jhθ} (a + j b). */
 static void by_harmonics(const harmonics_at *h, fo_dual inverse[2][2], double c, double s,
@@ -369,18 +383,27 @@ void fo_predict(const fo_model *m, const fo_course *at, double speed, const doub
     p->slope[B][FO_BY_ALPHA] = fo_axpy(fo_axpy(both, c * c, inverse[Q][D]), -s * s, inverse[D][Q]);
 }
 
-fo_signs fo_signs_of(const fo_model *m, double i_alpha, double i_beta)
+fo_signs fo_signs_of(const fo_model *m, const double middle[2], const double step[2], size_t periods)
 {
+    const double share = 2.0 / 3.0 / (double)periods;
     fo_signs s;
     memset(&s, 0, sizeof s);
     for (int n = 0; n < 3; n++) {
-        const double *d = phase_axes[n], x = m->inverse_knee * (d[A] * i_alpha + d[B] * i_beta);
-        const double t = tanh(x), slope = 1.0 - t * t;
+        const double *d = phase_axes[n];
+        const double at = m->inverse_knee * (d[A] * middle[A] + d[B] * middle[B]);
+        const double along = m->inverse_knee * (d[A] * step[A] + d[B] * step[B]);
+        double value = 0.0, slope = 0.0, by_knee = 0.0;
+        for (size_t k = 0; k < periods; k++) {
+            const double x = at + along * (((double)k + 0.5) / (double)periods - 0.5), t = tanh(x);
+            value += t;
+            slope += 1.0 - t * t;
+            by_knee -= (1.0 - t * t) * x;
+        }
         for (int a = 0; a < 2; a++) {
-            s.value[a] += 2.0 / 3.0 * d[a] * t;
-            s.by_knee[a] -= 2.0 / 3.0 * d[a] * slope * x;
+            s.value[a] += share * d[a] * value;
+            s.by_knee[a] += share * d[a] * by_knee;
             for (int b = 0; b < 2; b++)
-                s.by_current[a][b] += 2.0 / 3.0 * d[a] * d[b] * slope * m->inverse_knee;
+                s.by_current[a][b] += share * d[a] * d[b] * slope * m->inverse_knee;
         }
     }
     return s;

@@ -70,8 +70,11 @@ typedef struct {
 void fo_predict(const fo_model *m, const fo_course *at, double speed, const double begin[2],
                 fo_prediction *out);
 
-/* Flux in rotor coordinates of a current in rotor coordinates, without harmonics. */
+/* Flux of a current in rotor coordinates, without harmonics; in the same. */
 void fo_flux_of(const fo_model *m, double psi, const double current[2], double flux[2]);
+
+/* Flux of a current at an angle and ψ, less the parameter; stator coordinates. */
+void fo_flux_at(const fo_model *m, double angle, double psi, const double current[2], double flux[2]);
 
 /* Sum of the phases' smoothed signs as a vector, amplitude-invariant, with its derivatives by the
  * current and by ln knee. */
@@ -79,7 +82,8 @@ typedef struct {
     double value[2], by_current[2][2], by_knee[2];
 } fo_signs;
 
-fo_signs fo_signs_of(const fo_model *m, double i_alpha, double i_beta);
+/* Mean over the middles of `periods` equal parts of a line: its middle, and the step along it [A]. */
+fo_signs fo_signs_of(const fo_model *m, const double middle[2], const double step[2], size_t periods);
 
 #ifdef __cplusplus
 }

@@ -36,6 +36,8 @@ STATES, OWN, BY = 10, 5, 4
 ELEMENTS, BENT = 43, 26
 SENSITIVE = UNKNOWNS - len(LEVELS)
 CHUNK = 64
+#: Detail of the likelihood: information of all.
+ALL = 2
 FIRMWARE = ENGINE.parent / "firmware"
 NUMBERS = ctypes.POINTER(ctypes.c_double)
 
@@ -51,6 +53,8 @@ class Log(ctypes.Structure):
         ("rounding", NUMBERS),
         ("first", ctypes.c_size_t),
         ("whole", ctypes.c_size_t),
+        ("periods", ctypes.c_size_t),
+        ("early", ctypes.c_bool),
     )
 
 
@@ -109,6 +113,8 @@ FILTER = np.dtype(
 ROW = np.dtype(
     [
         ("own", float, OWN),
+        ("current", float, 2),
+        ("slope", float, (2, BY)),
         ("P", float, (STATES, STATES)),
         ("error", float, 2),
         ("V", float, (2, 2)),
@@ -234,7 +240,7 @@ def likelihood(
         problem = Problem(*parts, address(course))
         about = (ctypes.byref(problem), pointer(p))
         done = code.fo_innovations(
-            *about, ctypes.c_bool(True), ctypes.byref(out), address(checkpoints)
+            *about, ALL, ctypes.byref(out), address(checkpoints)
         )
         assert done, "the covariance is not positive, or a number is not finite"
         whole = (ctypes.c_size_t(n), ctypes.c_bool(True), address(rows))
