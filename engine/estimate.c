@@ -259,8 +259,9 @@ static double noise_of(const fo_log *record, const double *angle, double *spare)
     return sqrt(spare[count / 2] / median);
 }
 
-/* Least first unrest: far below one, its prior would outweigh the currents. */
-static const double calmest = 0.05;
+/* Bounds of the first unrest: far below one, its prior would outweigh the currents; far above, the covariance
+ * would lose its digits where the course is wrong. */
+static const double calmest = 0.05, wildest = 1e4;
 
 /* First level and unrest of the acceleration: how much that of the course changes in a stretch or beside
  * it. At least a twentieth of the prior's, since no change of a given course is known so well. */
@@ -285,7 +286,7 @@ static void begin_unrest(const fo_problem *problem, double *parameters)
             if (!pass) sum += own / (double)count;
             const size_t end = n + 1 < count ? (n + 1) * FO_STRETCH : rows;
             for (size_t k = n * FO_STRETCH; pass && k < end; k++)
-                course[k].unrest = fmax(exp(2.0 * (own - sum)), calmest);
+                course[k].unrest = fmin(fmax(exp(2.0 * (own - sum)), calmest), wildest);
         }
     *level = sum;
 }
@@ -535,6 +536,7 @@ static void free_learning(learning *l)
     free(l->work.rows);
     free(l->work.squares);
     free(l->work.before);
+    free(l->work.best);
 }
 
 /* False: no memory. `l` is freed in any case. */
@@ -561,9 +563,10 @@ static bool open_learning(const fo_log *record, const fo_file *file, const fo_pr
                         .checkpoints = malloc((fo_checkpoints(count) + PARTS) * sizeof(fo_filter)),
                         .rows = malloc(FO_CHUNK * sizeof(fo_row)),
                         .squares = malloc(count * sizeof(fo_squares)),
-                        .before = malloc(count * sizeof(fo_course))};
+                        .before = malloc(count * sizeof(fo_course)),
+                        .best = malloc(count * sizeof(fo_course))};
     if (!l->rounding || !l->spare || !l->course || !l->other || !l->work.checkpoints ||
-        !l->work.rows || !l->work.squares || !l->work.before) {
+        !l->work.rows || !l->work.squares || !l->work.before || !l->work.best) {
         free_learning(l);
         return false;
     }
@@ -622,7 +625,7 @@ static fo_outcome learn_levels(learning *l, size_t factor, const double *angles,
     fo_outcome outcome = FO_NO_MEMORY;
     if (fo_thin(&l->log, ratio, l->prior.mean[FO_L_lag], &thin)) {
         const fo_prior prior = thinned_prior(&l->prior, &thin);
-        for (int k = 0; k < FO_UNKNOWNS; k++) begin[k] = parameters ? parameters[k] : NAN;
+        for (int k = 0; k < FO_UNKNOWNS; k++) begin[k] = parameters ? parameters[k] : (double)NAN;
         count_in(&thin, false, &begin[FO_L_lag], &begin[FO_L_delay]);
         if (some && open_learning(&thin.log, l->file, &prior, &posterior, &own)) {
             for (size_t n = 0; n < starts; n++)

@@ -51,7 +51,7 @@ static penalty penalty_at(const fo_prior *prior, const double *p, double harmoni
         const double difference = p[k] - prior->mean[k];
         const double std = prior->std[k] * (k == FO_L_iron_loss && difference < 0.0 ? below : 1.0);
         if (!(std > 0.0) || (prior->round && k == FO_L_L_q)) continue;
-        if (is_of_file(k)) {
+        if (is_of_file(k) || k == FO_L_lag) {
             add_heavy(difference, std, k, &out);
             continue;
         }
@@ -542,66 +542,108 @@ static bool evaluate_there(const fo_work *w, const double *parameters, double li
  * values expect more than they gain. */
 enum { IDLE = 4 };
 
+/* The state of learning. `base`: parameters that were accepted, with gradient and curvature; `tried`: the next. */
+typedef struct {
+    const fo_work *w;
+    const fo_prior *prior;
+    selection free;
+    variance_information variances;
+    fo_likelihood at;
+    double g[MOST], H[MOST][MOST], tried[FO_UNKNOWNS], damping, expected;
+    swing swings[MOST];
+    fo_posterior *base, best;
+    bool based;
+    int failed, idle;
+} learner;
+
+static void step(learner *l)
+{
+    l->expected = move(&l->free, l->prior, l->g, l->H, &l->damping, l->swings, l->tried);
+}
+
+static void set_failed(learner *l, bool failed)
+{
+    for (int k = 0; k < l->free.count; k++) l->swings[k].failed = failed;
+}
+
+/* The step was too long. After some trials, the next evaluates the base. */
+static void shorten(learner *l)
+{
+    l->damping = fmax(10.0 * l->damping, 1.0);
+    set_failed(l, true);
+    restore_course(l->w);
+    memcpy(l->tried, l->base->parameters, sizeof l->tried);
+    if (++l->failed < TRIALS) step(l);
+}
+
+/* The trial becomes the base. False: its curvature is not finite. */
+static bool accept(learner *l, double gain, bool first_steps)
+{
+    const fo_work *w = l->w;
+    const size_t rows = w->problem.log->rows;
+    fo_posterior *out = l->base;
+    penalty own = penalty_at(l->prior, l->tried, out->harmonics);
+    const double rest = course_penalty(w->problem.course, rows);
+    double objective = l->at.objective + own.value + rest;
+    const double gained = l->based ? out->objective - objective : HUGE_VAL;
+    memcpy(out->parameters, l->tried, sizeof l->tried);
+    out->mean_square = l->at.mean_square;
+    out->converged = l->expected < gain && fabs(gained) < 10.0 * gain;
+    l->failed = 0;
+    l->idle = objective < l->best.objective - gain ? 0 : l->idle + 1;
+    save_course(w);
+    if (!out->converged) sum_backward(w, l->tried, true, true, l->at.score);
+    reduced(&l->free, &l->at, &own, l->g, l->H);
+    if (!invert(&l->free, l->H, out->covariance)) return false;
+    /* The level moves once the first steps have removed what is not harmonic. */
+    if (l->prior->harmonics > 0.0 && !first_steps) {
+        out->harmonics = level(l->prior, out);
+        own = penalty_at(l->prior, out->parameters, out->harmonics);
+        objective = l->at.objective + own.value + rest;
+        reduced(&l->free, &l->at, &own, l->g, l->H);
+    }
+    out->objective = objective;
+    if (objective < l->best.objective) {
+        l->best = *out;
+        memcpy(w->best, w->before, rows * sizeof *w->best);
+    }
+    l->based = true;
+    return true;
+}
+
 bool fo_learn(const fo_work *w, const fo_prior *prior, double gain, size_t most, fo_posterior *out)
 {
-    const selection s = selected(prior);
-    const fo_log *log = w->problem.log;
+    const size_t rows = w->problem.log->rows;
     fo_course *course = w->problem.course;
-    fo_likelihood at;
-    variance_information variances = {.known = false};
-    double g[MOST], H[MOST][MOST], tried[FO_UNKNOWNS], damping = 0.0, expected = HUGE_VAL;
-    swing swings[MOST] = {{0.0, 0.0, false}};
-    bool based = false; /* out holds accepted parameters, g and H their derivatives */
-    int failed = 0, idle = 0;
-    double least = HUGE_VAL;
-    memcpy(tried, out->parameters, sizeof tried);
+    learner l = {.w = w, .prior = prior, .free = selected(prior), .expected = HUGE_VAL, .base = out, .best = *out};
+    l.best.objective = HUGE_VAL;
+    memcpy(l.tried, out->parameters, sizeof l.tried);
     out->converged = false;
-    for (size_t k = 0; k < log->rows; k++) w->squares[k] = (fo_squares){1.0, 0.0, 2.0};
-    for (size_t n = 0; n < most; n++) {
-        const bool same = based && !memcmp(tried, out->parameters, sizeof tried);
-        penalty own = penalty_at(prior, tried, out->harmonics);
-        const double rest = own.value + course_penalty(course, log->rows);
-        const double limit = based ? out->objective + slack - rest : -HUGE_VAL;
-        const bool good = evaluate_there(w, tried, limit, &variances, out, &at);
-        if (!good && !based) return false;
-        double objective = at.objective + rest;
-        if (based && !same && !(good && at.objective <= limit)) {
-            damping = fmax(10.0 * damping, 1.0);
-            for (int k = 0; k < s.count; k++) swings[k].failed = true;
-            restore_course(w);
-            memcpy(tried, out->parameters, sizeof tried);
-            if (++failed < TRIALS) expected = move(&s, prior, g, H, &damping, swings, tried);
+    for (size_t k = 0; k < rows; k++) w->squares[k] = (fo_squares){1.0, 0.0, 2.0};
+    const size_t begun = out->evaluations;
+    for (size_t n = 0; out->evaluations - begun < most; n++) {
+        const bool same = l.based && !memcmp(l.tried, out->parameters, sizeof l.tried);
+        const double rest = penalty_at(prior, l.tried, out->harmonics).value + course_penalty(course, rows);
+        const double limit = l.based ? out->objective + slack - rest : -HUGE_VAL;
+        const bool good = evaluate_there(w, l.tried, limit, &l.variances, out, &l.at);
+        if (l.based && !same && !(good && l.at.objective <= limit)) {
+            shorten(&l);
             continue;
         }
-        if (!good) break;
-        failed = 0;
-        const double gained = based ? out->objective - objective : HUGE_VAL;
-        memcpy(out->parameters, tried, sizeof tried);
-        out->mean_square = at.mean_square;
-        idle = objective < least - gain ? 0 : idle + 1;
-        least = fmin(least, objective);
-        out->converged = (expected < gain && fabs(gained) < 10.0 * gain) || idle == IDLE;
-        if (!out->converged) {
-            save_course(w);
-            sum_backward(w, tried, true, true, at.score);
-        }
-        reduced(&s, &at, &own, g, H);
-        if (!invert(&s, H, out->covariance)) return false;
-        /* The level moves once the first steps have removed what is not harmonic. */
-        if (prior->harmonics > 0.0 && n >= 3) {
-            out->harmonics = level(prior, out);
-            own = penalty_at(prior, out->parameters, out->harmonics);
-            objective = at.objective + own.value + course_penalty(course, log->rows);
-            reduced(&s, &at, &own, g, H);
-        }
-        out->objective = objective;
-        based = true;
-        if (out->converged) break;
-        learn_doubt(w->squares, log->rows, course);
-        learn_unrest(log, w->squares, course);
-        for (int k = 0; k < s.count; k++) swings[k].failed = false;
-        damping *= 0.1;
-        expected = move(&s, prior, g, H, &damping, swings, tried);
+        if (!good && !l.based) return false;
+        if (!good || !accept(&l, gain, n < 3) || out->converged || l.idle == IDLE) break;
+        learn_doubt(w->squares, rows, course);
+        learn_unrest(w->problem.log, w->squares, course);
+        set_failed(&l, false);
+        l.damping *= 0.1;
+        step(&l);
     }
-    return based;
+    if (out->converged) return true;
+    if (!isfinite(l.best.objective)) return false;
+    const size_t evaluations = out->evaluations;
+    *out = l.best;
+    out->evaluations = evaluations;
+    out->converged = l.idle == IDLE; /* there is nothing more to gain */
+    memcpy(course, w->best, rows * sizeof *course);
+    return true;
 }

@@ -8,8 +8,8 @@
 extern "C" {
 #endif
 
-/* Priors, normal; a std of zero fixes a parameter at its mean. R, L_d, L_q and ψ have heavy tails: a
- * machine file is right within its tolerance, or it is that of another machine. */
+/* Priors, normal; a std of zero fixes a parameter at its mean. R, L_d, L_q, ψ and the lag have heavy
+ * tails: a file is right within its tolerance, or it is that of another machine or log. */
 typedef struct {
     double mean[FO_L], std[FO_L];
     double harmonics; /* scale of the harmonics' coefficients [Wb]; their level is estimated */
@@ -35,8 +35,8 @@ typedef struct {
 } fo_part;
 
 /* A log, the parts on which it is learnt, and what learning works on: `checkpoints` of the chunks of the
- * log and one more for each part, `rows` of a chunk, `squares` of each row, and the course `before` its
- * last step. */
+ * log and one more for each part, `rows` of a chunk, `squares` of each row, the course `before` its last step
+ * and the `best` one. */
 typedef struct {
     fo_problem problem;
     const fo_part *parts;
@@ -44,7 +44,7 @@ typedef struct {
     fo_filter *checkpoints;
     fo_row *rows;
     fo_squares *squares;
-    fo_course *before;
+    fo_course *before, *best;
 } fo_work;
 
 /* Learns from `out->parameters`, `out->harmonics` and the course: Gauss–Newton steps within a trust region,

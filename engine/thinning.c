@@ -37,7 +37,7 @@ static void mean_voltage(const fo_log *log, long first, size_t count, double mea
         if (k >= (long)log->rows) k = (long)log->rows - 1;
         const double *u = log->voltage + 2 * k;
         for (int a = 0; a < 2; a++) mean[a] += u[a] / (double)count;
-        if (!is_known(u)) mean[0] = NAN;
+        if (!is_known(u)) mean[0] = (double)NAN;
     }
 }
 
@@ -51,7 +51,7 @@ bool fo_thin(const fo_log *log, size_t factor, double lag, fo_thinned *out)
     for (size_t n = 0; n < rows; n++) {
         const size_t k = n * factor;
         mean_voltage(log, (long)k - shift, factor, voltage + 2 * n);
-        for (int a = 0; a < 2; a++) current[2 * n + a] = log->current[2 * k + a];
+        for (size_t a = 0; a < 2; a++) current[2 * n + a] = log->current[2 * k + a];
     }
     out->log.rows = rows;
     out->log.sample_time = (double)factor * log->sample_time;
@@ -101,8 +101,9 @@ void fo_fill(const fo_course *thinned, size_t count, size_t factor, fo_course *o
 {
     for (size_t n = 0; n < count; n++) {
         const point b = point_of(thinned + n);
-        const point a = n ? point_of(thinned + n - 1) : b;
-        const point c = n + 1 < count ? point_of(thinned + n + 1) : beyond(&b, &a);
+        const point before = n ? point_of(thinned + n - 1) : b;
+        const point c = n + 1 < count ? point_of(thinned + n + 1) : beyond(&b, &before);
+        const point a = n ? before : beyond(&b, &c);
         const point d = n + 2 < count ? point_of(thinned + n + 2) : beyond(&c, &b);
         for (size_t k = n * factor; k < rows && k < (n + 1) * factor; k++) {
             const point p = between(&a, &b, &c, &d, (double)(k - n * factor) / (double)factor);

@@ -239,9 +239,7 @@ def likelihood(
         parts = [ctypes.cast(ctypes.byref(x), ctypes.c_void_p) for x in (log, machine, start)]
         problem = Problem(*parts, address(course))
         about = (ctypes.byref(problem), pointer(p))
-        done = code.fo_innovations(
-            *about, ALL, ctypes.byref(out), address(checkpoints)
-        )
+        done = code.fo_innovations(*about, ALL, ctypes.byref(out), address(checkpoints))
         assert done, "the covariance is not positive, or a number is not finite"
         whole = (ctypes.c_size_t(n), ctypes.c_bool(True), address(rows))
         code.fo_again(*about, address(checkpoints), address(course), *whole)
