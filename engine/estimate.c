@@ -201,7 +201,7 @@ static void mean_current(const fo_log *record, const fo_model *m, const double *
         if (!isfinite(i[0] + i[1])) continue;
         const double x = i[0] - m->offset[0], y = i[1] - m->offset[1];
         const double c = cos(angle[k]), s = sin(angle[k]);
-        const double weight = 1.0 + AROUND - (double)(k > row ? k - row : row - k);
+        const double weight = 1.0 + (double)AROUND - (double)(k > row ? k - row : row - k);
         sum[0] += weight * (c * x + s * y);
         sum[1] += weight * (c * y - s * x);
         weights += weight;
@@ -268,7 +268,7 @@ static const double calmest = 0.05, wildest = 1e4;
 static void begin_unrest(const fo_problem *problem, double *parameters)
 {
     const size_t rows = problem->log->rows, count = rows / FO_STRETCH;
-    const double T = FO_STRETCH * fabs(problem->log->sample_time);
+    const double T = (double)FO_STRETCH * fabs(problem->log->sample_time);
     const double least = parameters[FO_L_acceleration] - 3.0;
     fo_course *course = problem->course;
     double *level = &parameters[FO_L_acceleration], sum = 0.0;

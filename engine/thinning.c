@@ -13,7 +13,7 @@ size_t fo_thinning(const fo_log *log, const double *angle, double decay)
 {
     double most = decay * fabs(log->sample_time);
     for (size_t k = 0; k + OVER < log->rows; k += OVER)
-        most = fmax(most, fabs(angle[k + OVER] - angle[k]) / OVER);
+        most = fmax(most, fabs(angle[k + OVER] - angle[k]) / (double)OVER);
     size_t factor = log->rows / REMAIN;
     if (factor > MOST) factor = MOST;
     if (most * (double)factor > turn) factor = (size_t)(turn / most);
