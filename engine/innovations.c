@@ -150,6 +150,9 @@ static double slope_times(double H[2][FO_BY], int a, double x[S][2], int b)
     return sum;
 }
 
+/* Normalised square of an innovation, of which one row in fifty has a larger one: e^{−4}. */
+static const double unlikely = 4.0;
+
 /* Measurement update of the derivatives by levels and colour, with ∂K = (∂(P Hᵀ) − K ∂S) S⁻¹, and their
  * part of the information, ∂eᵀ S⁻¹ ∂e + ½ tr(S⁻¹ ∂S S⁻¹ ∂S). */
 static void measure_variances(const pass *q, double H[2][FO_BY], const update *z, bool counted)
@@ -180,7 +183,7 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
     if (!counted) return;
     /* A misfit would inflate the part of the means, and the levels would creep. */
     const double square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
-    const double fits = square > 1.0 ? 1.0 / square : 1.0;
+    const double fits = square > unlikely ? unlikely / square : 1.0;
     for (int l = 0; l < FO_VARIANCES; l++)
         for (int n = 0; n <= l; n++) {
             double *sum = q->out->information + l * FO_UNKNOWNS + n;
