@@ -368,14 +368,14 @@ void fo_rounding_of(const fo_log *record, double *rounding)
 
 /* First values, and the course. */
 static void begin_learning(const learning *l, const double *angle, const double *parameters,
-                           double *spare, fo_posterior *out)
+                           fo_posterior *out)
 {
     double *p = out->parameters;
     const fo_problem *problem = &l->work.problem;
     begin(problem->log, l->file, &l->prior, parameters, out);
     begin_offset(problem->log, angle, &l->prior, p);
     set_course(problem, angle, p);
-    const double noise = noise_of(problem->log, angle, spare);
+    const double noise = noise_of(problem->log, angle, l->spare);
     const double least = l->prior.mean[FO_L_noise] - 3.0;
     p[FO_L_noise] = noise > 0.0 ? fmax(log(noise), least) : least;
     begin_unrest(problem, p);
@@ -390,8 +390,7 @@ static void exchange_courses(learning *l)
 }
 
 /* Learns a little from each of `count` courses, one behind the other; the smallest objective counts. */
-static bool race(learning *l, const double *angles, size_t count, const double *parameters,
-                 double *spare)
+static bool race(learning *l, const double *angles, size_t count, const double *parameters)
 {
     const size_t rows = l->work.problem.log->rows;
     const size_t thinned = l->log.periods ? l->log.periods : 1;
@@ -402,7 +401,7 @@ static bool race(learning *l, const double *angles, size_t count, const double *
         fo_posterior tried;
         const double *angle = angles + n * rows;
         l->work.problem.course = l->other;
-        begin_learning(l, angle, parameters, spare, &tried);
+        begin_learning(l, angle, parameters, &tried);
         const bool learnt = fo_learn(&l->work, &l->prior, fine, most, &tried);
         evaluations += tried.evaluations;
         if (!learnt || (any && tried.objective >= l->posterior->objective)) continue;
@@ -503,10 +502,10 @@ static bool learn(learning *l, const double *angles, size_t starts, const double
     fo_work *w = &l->work;
     fo_posterior *out = l->posterior;
     if (starts > 1) {
-        if (!race(l, angles, starts, parameters, l->spare)) return false;
+        if (!race(l, angles, starts, parameters)) return false;
     } else {
         l->angle = angles;
-        begin_learning(l, angles, parameters, l->spare, out);
+        begin_learning(l, angles, parameters, out);
     }
     if (!fo_learn(w, &l->prior, fine, MOST, out)) return false;
     try_range(l);
@@ -539,7 +538,7 @@ static void free_learning(learning *l)
     free(l->work.best);
 }
 
-/* False: no memory. `l` is freed in any case. */
+/* False: no memory; then nothing is left to free. */
 static bool open_learning(const fo_log *record, const fo_file *file, const fo_prior *prior,
                           fo_posterior *posterior, learning *l)
 {

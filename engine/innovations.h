@@ -92,7 +92,7 @@ typedef struct {
 typedef struct {
     double own[FO_OWN];                 /* after the measurement */
     double current[2], slope[2][FO_BY]; /* that makes flux, at the course, and its derivatives */
-    double P[FO_STATES][FO_STATES];     /* its covariance */
+    double P[FO_STATES][FO_STATES];     /* covariance after the measurement */
     double error[2], V[2][2];           /* innovation, inverse of its covariance */
     double noise[2][2];                 /* covariance of the noise, without rounding */
     double K[FO_STATES][2];             /* Kalman gain */

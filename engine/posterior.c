@@ -521,8 +521,9 @@ enum { TRIALS = 4 };
 static const double too_far = 0.1;
 
 /* The likelihood at other parameters. The course follows them: about another, the objective would be that of a
- * linearisation elsewhere. A step of the course that raises the objective beyond `limit` is halved. */
-static bool evaluate_there(const fo_work *w, const double *parameters, double limit,
+ * linearisation elsewhere. A step of the course that goes too far is halved, unless the objective is below
+ * `limit` all the same. At most `most` evaluations in all. */
+static bool evaluate_there(const fo_work *w, const double *parameters, double limit, size_t most,
                            variance_information *variances, fo_posterior *out, fo_likelihood *at)
 {
     fo_likelihood first;
@@ -530,8 +531,8 @@ static bool evaluate_there(const fo_work *w, const double *parameters, double li
     save_course(w);
     sum_backward(w, parameters, true, false, NULL);
     bool good = evaluate(w, parameters, variances, out, at);
-    const double most = fmax(limit, first.objective + too_far * (double)first.counted);
-    for (int n = 0; n < HALVINGS && !(good && at->objective <= most); n++) {
+    const double largest = fmax(limit, first.objective + too_far * (double)first.counted);
+    for (int n = 0; n < HALVINGS && out->evaluations < most && !(good && at->objective <= largest); n++) {
         halve_course(w);
         good = evaluate(w, parameters, variances, out, at);
     }
@@ -620,12 +621,12 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, double gain, size_t most,
     memcpy(l.tried, out->parameters, sizeof l.tried);
     out->converged = false;
     for (size_t k = 0; k < rows; k++) w->squares[k] = (fo_squares){1.0, 0.0, 2.0};
-    const size_t begun = out->evaluations;
-    for (size_t n = 0; out->evaluations - begun < most; n++) {
+    most += out->evaluations;
+    for (size_t n = 0; out->evaluations < most; n++) {
         const bool same = l.based && !memcmp(l.tried, out->parameters, sizeof l.tried);
         const double rest = penalty_at(prior, l.tried, out->harmonics).value + course_penalty(course, rows);
         const double limit = l.based ? out->objective + slack - rest : -HUGE_VAL;
-        const bool good = evaluate_there(w, l.tried, limit, &l.variances, out, &l.at);
+        const bool good = evaluate_there(w, l.tried, limit, most, &l.variances, out, &l.at);
         if (l.based && !same && !(good && l.at.objective <= limit)) {
             shorten(&l);
             continue;

@@ -70,7 +70,7 @@ typedef struct {
 void fo_predict(const fo_model *m, const fo_course *at, double speed, const double begin[2],
                 fo_prediction *out);
 
-/* Flux of a current in rotor coordinates, without harmonics; in the same. */
+/* Flux of a current without harmonics; both in rotor coordinates. */
 void fo_flux_of(const fo_model *m, double psi, const double current[2], double flux[2]);
 
 /* Flux of a current at an angle and ψ, less the parameter; stator coordinates. */

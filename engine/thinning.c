@@ -27,8 +27,8 @@ static bool is_known(const double *value)
     return isfinite(value[0]) && isfinite(value[1]);
 }
 
-/* Mean voltage of `count` rows; NaN if one is missing. The rows before the first are like this. */
-static void mean_voltage(const fo_log *log, long first, size_t count, double mean[2])
+/* Mean voltage of `count` rows; NaN if one is missing. Before the first row and behind the last, theirs holds. */
+static void voltage_of(const fo_log *log, long first, size_t count, double mean[2])
 {
     mean[0] = mean[1] = 0.0;
     for (size_t n = 0; n < count; n++) {
@@ -50,7 +50,7 @@ bool fo_thin(const fo_log *log, size_t factor, double lag, fo_thinned *out)
     double *voltage = out->values, *current = voltage + 2 * rows;
     for (size_t n = 0; n < rows; n++) {
         const size_t k = n * factor;
-        mean_voltage(log, (long)k - shift, factor, voltage + 2 * n);
+        voltage_of(log, (long)k - shift, factor, voltage + 2 * n);
         for (size_t a = 0; a < 2; a++) current[2 * n + a] = log->current[2 * k + a];
     }
     out->log.rows = rows;

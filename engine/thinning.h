@@ -17,8 +17,9 @@ typedef struct {
     double *values; /* that belong to it; null: none */
 } fo_thinned;
 
-/* Rows that one row may stand for, a power of two: a row turns by less than `turn`, and the current's time constant
- * R/L_min [1/s] is longer than a row. 1: the log is short, or slowly sampled. `angle`: of the rotor. */
+/* How many rows one row of the thinned log may replace, a power of two: the rotor turns little within it, and the
+ * current decays little. 1: the log is short, or slowly sampled. `angle`: of the rotor, a number for each row;
+ * `decay`: R/L, the inverse of the current's time constant [1/s]. */
 size_t fo_thinning(const fo_log *log, const double *angle, double decay);
 
 /* False: no memory. The voltages of the log act `lag` rows later than it says. */

@@ -33,10 +33,9 @@ from engine.scores import START, parameters_of
 H = 1e-4
 #: Indices of the angle and of ψ among the states.
 ANGLE, PSI = 2, 4
-#: Of the likelihood, at most: halvings of the last step of the course may come on top.
-HALVINGS = 8
-#: Three levels of a thinned log, a range of the sensors, and early voltages.
-MOST_EVALUATIONS = 3 * (120 + HALVINGS) + 4 + 40 + 2 * HALVINGS + 120 + HALVINGS
+#: Of the likelihood, of a log that is too short to be thinned: all parameters; a range of the
+#: sensors; early voltages.
+MOST_EVALUATIONS = 120 + 4 + 40 + 120
 #: Drives of a kind. The mean of (error/σ)² over them scatters by about √(2/12) in each drive.
 DRIVES = 4
 KINDS = {"surface": SURFACE, "interior": INTERIOR}

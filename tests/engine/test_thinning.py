@@ -104,7 +104,7 @@ def test_a_row_turns_and_decays_by_less_than_three_tenths(speed: float, decay: f
 
 
 def test_a_lag_that_the_log_does_not_state_is_learnt():
-    """Stated is none, with 0.1; true is one: the prior has heavy tails."""
+    """The voltages act one sample late; the log says 0 ± 0.1. The prior has heavy tails."""
     record = simulated(replace(SURFACE, duration=0.4, lag=1, bandwidth=0.2), 1, seed=5)
     file = file_of(0.4, 5.5e-4, 5.5e-4, 0.0115, 12.0, lag=(0.0, 0.1))
     e = estimate(record.voltage[:, 0], record.current[:, 0], H, file, record.angle[:, 0] + 0.05)
