@@ -227,28 +227,59 @@ static double level(const fo_prior *prior, const fo_posterior *at)
  * tests/engine/drive_table.py: L −9 % with one level, −4.6 % with 100 rows, −4.2 % with 25. */
 static const double calm_rows = 1.0;
 
-/* Scoring: the unrest of each stretch, with an inverse gamma prior about one. The currents see the sum of
- * the changes in a stretch, so the information about its ln unrest is ½ (Σ told)². A step is at most
- * fourfold. The mean of the logarithms stays zero, since the level of the acceleration is a parameter. */
+/* What the currents say about the unrest of a stretch. They see `count` sums of its changes, each with the share
+ * `told` of its variance: the variance of their own error is then 1/told − 1 times that of the sum. `square`: Σ q λ²,
+ * which is the square of the sums' observed values times told². */
+typedef struct {
+    double count, told, square, unrest;
+} stretch_of_unrest;
+
+/* −2 ln of the posterior as a function of x = ln of the ratio to the unrest that the smoother assumed. */
+static double of_unrest(const stretch_of_unrest *s, double x)
+{
+    const double variance = exp(x) + 1.0 / s->told - 1.0;
+    return s->count * log(variance) + s->square / (s->told * s->told * variance) +
+           calm_rows * (exp(-x) / s->unrest + x);
+}
+
+/* Where the posterior is largest within a step of `longest`: it may have two maxima, a calm one and a wild one. */
+static double best_unrest(const stretch_of_unrest *s)
+{
+    enum { POINTS = 14 };
+    static const double longest = 1.4;
+    const double apart = longest / (double)POINTS;
+    double x = 0.0, least = of_unrest(s, 0.0);
+    for (int n = -POINTS; n <= POINTS; n++) {
+        const double own = of_unrest(s, (double)n * apart);
+        if (own >= least) continue;
+        least = own;
+        x = (double)n * apart;
+    }
+    if (fabs(x) > longest - 0.5 * apart) return x;
+    const double before = of_unrest(s, x - apart), after = of_unrest(s, x + apart);
+    const double bend = before + after - 2.0 * least;
+    return bend > 0.0 ? x + 0.5 * apart * (before - after) / bend : x;
+}
+
+/* The largest share of the variance of a sum that is told: more needs two sums. */
+static const double all_told = 0.99;
+
+/* The unrest of each stretch, with an inverse gamma prior about one. */
 static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course *course)
 {
-    static const double longest = 1.4;
-    double sum = 0.0;
     for (size_t first = 0; first < record->rows; first += FO_STRETCH) {
         const size_t end = first + FO_STRETCH < record->rows ? first + FO_STRETCH : record->rows;
-        const double own = calm_rows / course[first].unrest;
-        double slope = own - calm_rows, told = 0.0;
+        double told = 0.0, square = 0.0;
         for (size_t k = first; k < end; k++) {
-            slope += made[k].change - 1.0;
             told += made[k].told;
+            square += made[k].change - 1.0 + made[k].told;
         }
-        const double step = slope / (own + told * told);
-        const double unrest = course[first].unrest * exp(fmax(fmin(step, longest), -longest));
+        told = fmax(told, 1e-9);
+        const double count = fmax(ceil(told / all_told), 1.0);
+        const stretch_of_unrest own = {count, told / count, square, course[first].unrest};
+        const double unrest = course[first].unrest * exp(best_unrest(&own));
         for (size_t k = first; k < end; k++) course[k].unrest = unrest;
-        sum += (double)(end - first) * log(unrest);
     }
-    const double mean = sum / (double)record->rows;
-    for (size_t k = 0; k < record->rows; k++) course[k].unrest *= exp(-mean);
 }
 
 /* −ln of the prior of the unrest. */
@@ -256,7 +287,7 @@ static double unrest_penalty(const fo_course *course, size_t rows)
 {
     double sum = 0.0;
     for (size_t k = 0; k < rows; k++)
-        sum += (1.0 / course[k].unrest - 1.0) / (double)FO_STRETCH;
+        sum += (1.0 / course[k].unrest - 1.0 + log(course[k].unrest)) / (double)FO_STRETCH;
     return 0.5 * calm_rows * sum;
 }
 
@@ -310,7 +341,7 @@ static const double harmless = 0.02;
 
 static bool swings_too(int k)
 {
-    return is_level(k) || k == FO_L_loss;
+    return is_level(k) || k == FO_L_loss || k == FO_L_mobility;
 }
 
 static double longest_swing(const swing *w, const fo_prior *prior, int k, double step)
@@ -328,7 +359,7 @@ static double of_variance(double step)
 }
 
 /* Steps with curvature H + μ D, the smallest μ (from `damping` on) with which none is longer than it may be:
- * D⁻¹ are the squares of the longest steps. With a μ relative to H, parameters that the log hardly tells
+ * D⁻¹ are the squares of the longest steps, which a swing shortens. With a μ relative to H, parameters that the log hardly tells
  * would take absurd values before those that are wrong have moved. The levels, on which the others hardly
  * depend, are shortened one by one; then those that go uphill alone, which others should have made up
  * for, stay. */
@@ -355,12 +386,17 @@ static bool trusted_steps(const selection *s, const fo_prior *prior, const doubl
             }
             trusted = trusted && fabs(step[k]) <= most[k];
         }
+        for (int k = 0; k < s->count; k++)
+            if (!is_level(s->at[k])) D[k] = 1.0 / (most[k] * most[k]);
         for (int k = 0; shortened && k < s->count; k++)
             if (is_level(s->at[k]) && g[k] * step[k] < 0.0) step[k] = 0.0;
         if (trusted) return true;
     }
     return false;
 }
+
+/* ln: closer, a level is right; it changes standard deviations only, and those by as much. */
+static const double close_level = 0.1;
 
 /* Moves the parameters. Returns the expected gain; infinity if no step can be trusted. */
 static double move(const selection *s, const fo_prior *prior, const double *g, double H[MOST][MOST],
@@ -371,7 +407,7 @@ static double move(const selection *s, const fo_prior *prior, const double *g, d
     for (int k = 0; k < s->count; k++) {
         swings[k] = (swing){step[k], most[k], false};
         parameters[s->at[k]] -= step[k];
-        gain += 0.5 * g[k] * step[k];
+        if (!is_level(s->at[k]) || fabs(step[k]) > close_level) gain += 0.5 * g[k] * step[k];
         if (s->round && s->at[k] == FO_L_L_d) parameters[FO_L_L_q] -= step[k];
     }
     parameters[FO_L_noise] = fmax(parameters[FO_L_noise], prior->mean[FO_L_noise] - quietest);
@@ -539,6 +575,10 @@ static bool evaluate_there(const fo_work *w, const double *parameters, double li
     return good;
 }
 
+/* Half squares a row that the last step may have gained if the next is expected to gain nothing: such gains are
+ * those of the unrest, which hardly move anything else. Assumed. */
+static const double little = 2e-4;
+
 /* Learning ends if so many accepted steps have not gained what one should: levels that swing about their
  * values expect more than they gain. */
 enum { IDLE = 4 };
@@ -589,7 +629,7 @@ static bool accept(learner *l, double gain, bool first_steps)
     const double gained = l->based ? out->objective - objective : HUGE_VAL;
     memcpy(out->parameters, l->tried, sizeof l->tried);
     out->mean_square = l->at.mean_square;
-    out->converged = l->expected < gain && fabs(gained) < 10.0 * gain;
+    out->converged = l->expected < gain && fabs(gained) < 10.0 * gain + little * (double)l->at.counted;
     l->failed = 0;
     l->idle = objective < l->best.objective - gain ? 0 : l->idle + 1;
     save_course(w);
@@ -646,5 +686,19 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, double gain, size_t most,
     out->evaluations = evaluations;
     out->converged = l.idle == IDLE; /* there is nothing more to gain */
     memcpy(course, w->best, rows * sizeof *course);
+    return true;
+}
+
+bool fo_smooth_parts(const fo_work *w, const fo_prior *prior, fo_posterior *out, fo_smoothed *rows)
+{
+    fo_likelihood last;
+    if (!sum_innovations(w, out->parameters, FO_OF_ALL, &last) || !fo_covariance(&last, prior, out))
+        return false;
+    for (size_t n = 0; n < w->count; n++) {
+        part own;
+        part_of(w, n, &own);
+        const fo_outputs wanted = {.smoothed = rows + w->parts[n].first, .covariance = out->covariance};
+        fo_backward(&own.problem, out->parameters, own.checkpoints, w->rows, &wanted, NULL);
+    }
     return true;
 }

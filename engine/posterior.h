@@ -57,6 +57,9 @@ bool fo_learn(const fo_work *work, const fo_prior *prior, double gain, size_t mo
  * back in part. */
 bool fo_settle(const fo_work *work, const double *parameters, int passes);
 
+/* Covariance of the parameters, and the rows of the parts. False: the likelihood cannot be evaluated. */
+bool fo_smooth_parts(const fo_work *work, const fo_prior *prior, fo_posterior *out, fo_smoothed *rows);
+
 /* Covariance at the likelihood. False: the curvature is not positive. */
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out);
 

@@ -92,9 +92,9 @@ def test_the_course_between_thinned_rows_is_smooth():
 
 @pytest.mark.parametrize(
     ("speed", "decay", "factor"),
-    [(10.0, 10.0, 4), (1000.0, 10.0, 2), (10.0, 2000.0, 1), (3000.0, 1.0, 1)],
+    [(10.0, 10.0, 4), (4000.0, 10.0, 2), (10.0, 8000.0, 1), (11000.0, 1.0, 1)],
 )
-def test_a_row_turns_and_decays_by_less_than_three_tenths(speed: float, decay: float, factor: int):
+def test_a_row_turns_and_decays_by_less_than_one(speed: float, decay: float, factor: int):
     u, i = vectors(6000)
     angle: Array = speed * H * np.arange(6000)
     code = library()
