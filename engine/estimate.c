@@ -4,15 +4,13 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "begin.h"
+#include "growth.h"
 #include "thinning.h"
 
 enum {
     SKIPPED = 20, /* rows until innovations count: the first speed is rough */
     MOST = 120,   /* evaluations, at most */
-    RACE = 12,    /* of each start, if there are several: levels and loss are nearly right then. On a log
-                   * that is thinned n times, n times as many: they cost the same */
-    FIRST = 4,    /* of a range, until it is tried in earnest */
-    TRIED = 40    /* then */
 };
 /* Half squares that the last step may gain. A parameter that is d standard deviations off costs d²/2, so it
  * remains within 0.8 of them. */
@@ -34,16 +32,18 @@ static double mean_voltage(const fo_log *record)
     return fmax(sqrt(sum / fmax(known, 1.0)), 1e-9);
 }
 
-/* Largest current of a phase. */
+/* Largest of the phases' currents in a row; zero if it is not known. */
+static double phase_current(const fo_log *record, size_t row)
+{
+    const double *i = record->current + 2 * row;
+    if (!isfinite(i[0]) || !isfinite(i[1])) return 0.0;
+    return fmax(fabs(i[0]), 0.5 * fabs(i[0]) + 0.86602540378443864676 * fabs(i[1]));
+}
+
 static double largest_current(const fo_log *record)
 {
     double most = 0.0;
-    for (size_t k = 0; k < record->rows; k++) {
-        const double *i = record->current + 2 * k;
-        if (!isfinite(i[0]) || !isfinite(i[1])) continue;
-        const double b = 0.5 * fabs(i[0]) + 0.86602540378443864676 * fabs(i[1]);
-        most = fmax(most, fmax(fabs(i[0]), b));
-    }
+    for (size_t k = 0; k < record->rows; k++) most = fmax(most, phase_current(record, k));
     return most;
 }
 
@@ -142,204 +142,6 @@ static fo_machine machine_of(const fo_file *file)
     return machine;
 }
 
-/* Rows in which the current hardly changes in rotor coordinates, for a first value. */
-enum { STEADY = 250 };
-
-/* First offset of the measured current: what does not turn with the rotor. Regression on each block's
- * mean current in rotor coordinates and on a constant in stator coordinates, with the prior; where the
- * rotor stands, both are the same. */
-static void begin_offset(const fo_log *record, const double *angle, const fo_prior *prior,
-                         double *parameters)
-{
-    double sums[2] = {0.0, 0.0}, weight = 0.0, squares = 0.0, rows = 0.0;
-    if (!(prior->std[FO_L_offset_alpha] > 0.0)) return;
-    for (size_t first = 0; first < record->rows; first += STEADY) {
-        const size_t end = first + STEADY < record->rows ? first + STEADY : record->rows;
-        double mean[2] = {0.0, 0.0}, turn[2] = {0.0, 0.0}, known = 0.0;
-        for (size_t k = first; k < end; k++) {
-            const double *i = record->current + 2 * k, c = cos(angle[k]), s = sin(angle[k]);
-            if (!isfinite(i[0] + i[1])) continue;
-            mean[0] += c * i[0] + s * i[1];
-            mean[1] += c * i[1] - s * i[0];
-            turn[0] += c;
-            turn[1] -= s;
-            known += 1.0;
-        }
-        for (size_t k = first; k < end; k++) {
-            const double *i = record->current + 2 * k, c = cos(angle[k]) / known,
-                         s = sin(angle[k]) / known;
-            if (!isfinite(i[0] + i[1])) continue;
-            const double a = i[0] - c * mean[0] + s * mean[1], b = i[1] - c * mean[1] - s * mean[0];
-            const double x = 1.0 - c * turn[0] + s * turn[1], y = -c * turn[1] - s * turn[0];
-            sums[0] += x * a + y * b;
-            sums[1] += x * b - y * a;
-            weight += x * x + y * y;
-            squares += a * a + b * b;
-            rows += 1.0;
-        }
-    }
-    if (!(rows > 0.0)) return;
-    const double own = prior->std[FO_L_offset_alpha];
-    const double all = weight + (double)STEADY * squares / rows / (own * own);
-    parameters[FO_L_offset_alpha] = sums[0] / all;
-    parameters[FO_L_offset_beta] = sums[1] / all;
-}
-
-/* Rows before and behind a row over which the current is averaged: about a course that follows the noise of
- * its own row, the score of the inductance would not have mean zero. */
-enum { AROUND = 6 };
-
-/* Mean current around a row in rotor coordinates, with weights that fall linearly; `mean` stays where no
- * current is known. */
-static void mean_current(const fo_log *record, const fo_model *m, const double *angle, size_t row,
-                         double mean[2])
-{
-    const size_t first = row < AROUND ? 0 : row - AROUND;
-    double sum[2] = {0.0, 0.0}, weights = 0.0;
-    for (size_t k = first; k <= row + AROUND && k < record->rows; k++) {
-        const double *i = record->current + 2 * k;
-        if (!isfinite(i[0] + i[1])) continue;
-        const double x = i[0] - m->offset[0], y = i[1] - m->offset[1];
-        const double c = cos(angle[k]), s = sin(angle[k]);
-        const double weight = 1.0 + (double)AROUND - (double)(k > row ? k - row : row - k);
-        sum[0] += weight * (c * x + s * y);
-        sum[1] += weight * (c * y - s * x);
-        weights += weight;
-    }
-    for (int a = 0; weights > 0.0 && a < 2; a++) mean[a] = sum[a] / weights;
-}
-
-/* The course through these angles: the flux is that of the measured current. A cage's rotor flux
- * follows i_d, from its steady value at the first row. */
-static void set_course(const fo_problem *problem, const double *angle, const double *p)
-{
-    const fo_log *record = problem->log;
-    const fo_model m = fo_model_of(problem->machine, p);
-    const double decay = m.R_R * m.over_L_M * fabs(record->sample_time);
-    double rotor[2] = {0.0, 0.0}, psi = 0.0;
-    for (size_t k = 0; k < record->rows; k++) {
-        const double c = cos(angle[k]), s = sin(angle[k]);
-        mean_current(record, &m, angle, k, rotor);
-        if (m.machine.cage)
-            psi += k ? decay * (rotor[0] / m.over_L_M - psi) : rotor[0] / m.over_L_M;
-        double dq[2];
-        fo_flux_of(&m, psi + m.psi.d[0], rotor, dq);
-        problem->course[k] = (fo_course){
-            {c * dq[0] - s * dq[1], s * dq[0] + c * dq[1]}, angle[k], psi, 1.0, 1.0};
-    }
-}
-
-static int by_size(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-/* First noise, a std: most of the third difference of the current in rotor coordinates is noise. It has 20
- * times the variance of white noise, and the median square of both components is 2 ln 2 times the variance
- * of one. `spare`: a number for each row. */
-static double noise_of(const fo_log *record, const double *angle, double *spare)
-{
-    static const double weights[4] = {-1.0, 3.0, -3.0, 1.0};
-    static const double median = 20.0 * 1.38629436111989062;
-    size_t count = 0;
-    for (size_t k = 0; k + 3 < record->rows; k++) {
-        double x = 0.0, y = 0.0;
-        for (size_t n = 0; n < 4; n++) {
-            const double *i = record->current + 2 * (k + n), c = cos(angle[k + n]),
-                         s = sin(angle[k + n]);
-            x += weights[n] * (c * i[0] + s * i[1]);
-            y += weights[n] * (c * i[1] - s * i[0]);
-        }
-        const double square = x * x + y * y;
-        if (isfinite(square)) spare[count++] = square;
-    }
-    if (!count) return 0.0;
-    qsort(spare, count, sizeof *spare, by_size);
-    return sqrt(spare[count / 2] / median);
-}
-
-/* Bounds of the first unrest: far below one, its prior would outweigh the currents; far above, the covariance
- * would lose its digits where the course is wrong. */
-static const double calmest = 0.05, wildest = 1e4;
-
-/* First level and unrest of the acceleration: how much that of the course changes in a stretch or beside
- * it. At least a twentieth of the prior's, since no change of a given course is known so well. */
-static void begin_unrest(const fo_problem *problem, double *parameters)
-{
-    const size_t rows = problem->log->rows, count = rows / FO_STRETCH;
-    const double T = (double)FO_STRETCH * fabs(problem->log->sample_time);
-    const double least = parameters[FO_L_acceleration] - 3.0;
-    fo_course *course = problem->course;
-    double *level = &parameters[FO_L_acceleration], sum = 0.0;
-    if (count < 8) return;
-    for (int pass = 0; pass < 2; pass++) /* the sum, then the unrest about its mean */
-        for (size_t n = 0; n < count; n++) {
-            double own = least;
-            for (size_t near = n < 2 ? 1 : n - 1; near <= n + 1 && near + 2 < count; near++) {
-                const double a = course[(near - 1) * FO_STRETCH].angle, b = course[near * FO_STRETCH].angle;
-                const double c = course[(near + 1) * FO_STRETCH].angle;
-                const double d = course[(near + 2) * FO_STRETCH].angle;
-                const double change = (d - a + 3.0 * (b - c)) / (T * T * sqrt(T));
-                if (change != 0.0) own = fmax(own, log(fabs(change)));
-            }
-            if (!pass) sum += own / (double)count;
-            const size_t end = n + 1 < count ? (n + 1) * FO_STRETCH : rows;
-            for (size_t k = n * FO_STRETCH; pass && k < end; k++)
-                course[k].unrest = fmin(fmax(exp(2.0 * (own - sum)), calmest), wildest);
-        }
-    *level = sum;
-}
-
-/* Learning begins on parts of a long log: so many, and so many rows in all. */
-enum { PARTS = 8, LEARNT = 8192 };
-/* Passes of smoothing of the rows between them. */
-enum { ROUGH = 2 };
-
-/* What learning needs: two courses, the second for a trial. */
-typedef struct {
-    const fo_file *file;
-    fo_machine machine;
-    fo_start start;
-    fo_log log;
-    const double *angle;
-    double *rounding, *spare; /* a number for each row */
-    fo_work work;
-    fo_part parts[PARTS], whole;
-    size_t count;
-    fo_prior prior;
-    fo_posterior *posterior;
-    fo_course *course, *other;
-} learning;
-
-/* Parts of equal length at equal distances; the one that contains the largest current, or is the nearest
- * to it, moves there. */
-static size_t parts_of(const fo_log *record, fo_part parts[PARTS])
-{
-    parts[0] = (fo_part){0, record->rows};
-    if (record->rows <= 2 * LEARNT) return 1;
-    const size_t length = LEARNT / PARTS, apart = record->rows / PARTS;
-    size_t largest = 0;
-    double most = 0.0;
-    for (size_t k = 0; k < record->rows; k++) {
-        const double *i = record->current + 2 * k, own = i[0] * i[0] + i[1] * i[1];
-        if (own > most) {
-            most = own;
-            largest = k;
-        }
-    }
-    for (size_t n = 0; n < PARTS; n++) {
-        const size_t from = n * apart, last = from + apart - length;
-        size_t first = from + (apart - length) / 2;
-        if (largest >= from && largest < from + apart) {
-            first = largest > from + length / 2 ? largest - length / 2 : from;
-            first = first < last ? first : last;
-        }
-        parts[n] = (fo_part){first, length};
-    }
-    return PARTS;
-}
-
 static double square_of_step(const fo_log *record, size_t k)
 {
     const double *i = record->current + 2 * k, a = i[0] - i[-2], b = i[1] - i[-1];
@@ -366,164 +168,19 @@ void fo_rounding_of(const fo_log *record, double *rounding)
     }
 }
 
-/* First values, and the course. */
-static void begin_learning(const learning *l, const double *angle, const double *parameters,
-                           fo_posterior *out)
-{
-    double *p = out->parameters;
-    const fo_problem *problem = &l->work.problem;
-    begin(problem->log, l->file, &l->prior, parameters, out);
-    begin_offset(problem->log, angle, &l->prior, p);
-    set_course(problem, angle, p);
-    const double noise = noise_of(problem->log, angle, l->spare);
-    const double least = l->prior.mean[FO_L_noise] - 3.0;
-    p[FO_L_noise] = noise > 0.0 ? fmax(log(noise), least) : least;
-    begin_unrest(problem, p);
-}
-
-static void exchange_courses(learning *l)
-{
-    fo_course *course = l->course;
-    l->course = l->other;
-    l->other = course;
-    l->work.problem.course = l->course;
-}
-
-/* Learns a little from each of `count` courses, one behind the other; the smallest objective counts. */
-static bool race(learning *l, const double *angles, size_t count, const double *parameters)
-{
-    const size_t rows = l->work.problem.log->rows;
-    const size_t thinned = l->log.periods ? l->log.periods : 1;
-    const size_t most = thinned * RACE < MOST ? thinned * RACE : MOST;
-    size_t evaluations = 0;
-    bool any = false;
-    for (size_t n = 0; n < count; n++) {
-        fo_posterior tried;
-        const double *angle = angles + n * rows;
-        l->work.problem.course = l->other;
-        begin_learning(l, angle, parameters, &tried);
-        const bool learnt = fo_learn(&l->work, &l->prior, fine, most, &tried);
-        evaluations += tried.evaluations;
-        if (!learnt || (any && tried.objective >= l->posterior->objective)) continue;
-        any = true;
-        *l->posterior = tried;
-        l->angle = angle;
-        exchange_courses(l);
-    }
-    l->work.problem.course = l->course;
-    l->posterior->evaluations = evaluations;
-    return any;
-}
-
-/* −ln of the share of the logs in which a sensor saturates. Assumed: one of twenty. */
-static const double saturated = 3.0;
-
-/* Does a sensor of the current saturate? A range just below the largest current rises if none does; then
- * it changes nothing. */
-static void try_range(learning *l)
-{
-    fo_work *w = &l->work;
-    const fo_log *record = w->problem.log;
-    const double largest = largest_current(record);
-    fo_prior prior = l->prior;
-    fo_posterior tried = *l->posterior;
-    put(&prior, FO_L_range, 1.05 * largest, 0.2 * largest);
-    tried.parameters[FO_L_range] = 0.985 * largest;
-    w->problem.course = l->other;
-    memcpy(l->other, l->course, record->rows * sizeof *l->course);
-    bool learnt = fo_learn(w, &prior, fine, FIRST, &tried);
-    if (learnt && tried.parameters[FO_L_range] < largest)
-        learnt = fo_learn(w, &prior, fine, TRIED, &tried);
-    l->posterior->evaluations = tried.evaluations;
-    if (learnt && tried.parameters[FO_L_range] < largest &&
-        tried.objective + saturated < l->posterior->objective) {
-        *l->posterior = tried;
-        l->prior = prior;
-        exchange_courses(l);
-    }
-    w->problem.course = l->course;
-}
-
-/* Voltages that act earlier than this [samples]: they may be those of the next row. */
-static const double early = -0.02;
-
-/* Is the voltage of the next row already there before it? The score of its share would not have mean zero
- * if it answers the noise of that row, so it is tried, not a value between. */
-static void try_early(learning *l)
-{
-    fo_work *w = &l->work;
-    const double *p = l->posterior->parameters;
-    if (!(p[FO_L_lag] + p[FO_L_delay] < early)) return;
-    fo_posterior tried = *l->posterior;
-    w->problem.course = l->other;
-    memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
-    l->log.early = true;
-    const bool learnt = fo_learn(w, &l->prior, fine, MOST, &tried);
-    l->posterior->evaluations = tried.evaluations;
-    l->log.early = learnt && tried.objective < l->posterior->objective;
-    if (l->log.early) {
-        *l->posterior = tried;
-        exchange_courses(l);
-    }
-    w->problem.course = l->course;
-}
-
-/* The course between the parts. */
-static void set_rest(const fo_problem *problem, const double *angle, const double *parameters,
-                     const fo_part *parts, size_t count, fo_course *other)
-{
-    fo_problem all = *problem;
-    all.course = other;
-    set_course(&all, angle, parameters);
-    for (size_t n = 0; n <= count; n++) {
-        const size_t from = n ? parts[n - 1].first + parts[n - 1].rows : 0;
-        const size_t end = n < count ? parts[n].first : problem->log->rows;
-        for (size_t k = from; k < end; k++) problem->course[k] = other[k];
-    }
-}
-
-/* Learns on the whole log, from what the parts gave. */
-static bool learn_whole(learning *l)
-{
-    fo_work *w = &l->work;
-    double *own = l->posterior->parameters, p[FO_UNKNOWNS];
-    set_rest(&w->problem, l->angle, own, l->parts, l->count, l->other);
-    w->parts = &l->whole;
-    w->count = 1;
-    /* The course of the other rows is rough yet: first with large levels. */
-    memcpy(p, own, sizeof p);
-    begin_levels(w->problem.log, l->file, &l->prior, p);
-    return fo_settle(w, p, ROUGH) && fo_settle(w, own, ROUGH) &&
-           fo_learn(w, &l->prior, fine, MOST, l->posterior);
-}
-
-static bool learn(learning *l, const double *angles, size_t starts, const double *parameters)
-{
-    fo_work *w = &l->work;
-    fo_posterior *out = l->posterior;
-    if (starts > 1) {
-        if (!race(l, angles, starts, parameters)) return false;
-    } else {
-        l->angle = angles;
-        begin_learning(l, angles, parameters, out);
-    }
-    if (!fo_learn(w, &l->prior, fine, MOST, out)) return false;
-    try_range(l);
-    return l->count == 1 || learn_whole(l);
-}
-
-static bool smooth(learning *l, fo_smoothed *rows)
-{
-    fo_work *w = &l->work;
-    fo_posterior *out = l->posterior;
-    fo_likelihood last;
-    if (!fo_innovations(&w->problem, out->parameters, FO_OF_ALL, &last, w->checkpoints) ||
-        !fo_covariance(&last, &l->prior, out))
-        return false;
-    const fo_outputs wanted = {.smoothed = rows, .covariance = out->covariance};
-    fo_backward(&w->problem, out->parameters, w->checkpoints, w->rows, &wanted, NULL);
-    return true;
-}
+/* What learning needs: two courses, the second for a trial. */
+typedef struct {
+    const fo_file *file;
+    fo_machine machine;
+    fo_start start;
+    fo_log log;
+    double *rounding, *spare; /* a number for each row */
+    fo_work work;
+    fo_part whole;
+    fo_prior prior;
+    fo_posterior *posterior;
+    fo_course *course, *other;
+} learning;
 
 static void free_learning(learning *l)
 {
@@ -555,15 +212,15 @@ static bool open_learning(const fo_log *record, const fo_file *file, const fo_pr
                     .course = malloc(count * sizeof *l->course),
                     .other = malloc(count * sizeof *l->other)};
     l->log.rounding = l->rounding;
-    l->count = parts_of(record, l->parts);
-    l->work = (fo_work){.problem = {&l->log, &l->machine, &l->start, l->course},
-                        .parts = l->parts,
-                        .count = l->count,
-                        .checkpoints = malloc((fo_checkpoints(count) + PARTS) * sizeof(fo_filter)),
-                        .rows = malloc(FO_CHUNK * sizeof(fo_row)),
-                        .squares = malloc(count * sizeof(fo_squares)),
-                        .before = malloc(count * sizeof(fo_course)),
-                        .best = malloc(count * sizeof(fo_course))};
+    l->work = (fo_work){
+        .problem = {&l->log, &l->machine, &l->start, l->course},
+        .parts = &l->whole,
+        .count = 1,
+        .checkpoints = malloc((fo_checkpoints(count) + FO_MOST_PARTS) * sizeof(fo_filter)),
+        .rows = malloc(FO_CHUNK * sizeof(fo_row)),
+        .squares = malloc(count * sizeof(fo_squares)),
+        .before = malloc(count * sizeof(fo_course)),
+        .best = malloc(count * sizeof(fo_course))};
     if (!l->rounding || !l->spare || !l->course || !l->other || !l->work.checkpoints ||
         !l->work.rows || !l->work.squares || !l->work.before || !l->work.best) {
         free_learning(l);
@@ -571,6 +228,104 @@ static bool open_learning(const fo_log *record, const fo_file *file, const fo_pr
     }
     fo_rounding_of(record, l->rounding);
     return true;
+}
+
+static void exchange_courses(learning *l)
+{
+    fo_course *course = l->course;
+    l->course = l->other;
+    l->other = course;
+    l->work.problem.course = l->course;
+}
+
+/* First values, and the course. */
+static void begin_learning(const learning *l, const double *angle, const double *parameters)
+{
+    fo_posterior *out = l->posterior;
+    double *p = out->parameters;
+    const fo_problem *problem = &l->work.problem;
+    begin(problem->log, l->file, &l->prior, parameters, out);
+    fo_begin_offset(problem->log, angle, &l->prior, p);
+    fo_set_course(problem, angle, p);
+    const double noise = fo_first_noise(problem->log, angle, l->spare);
+    const double least = l->prior.mean[FO_L_noise] - 3.0;
+    p[FO_L_noise] = noise > 0.0 ? fmax(log(noise), least) : least;
+    fo_begin_unrest(problem, p);
+}
+
+/* A current that reaches the range of its sensor, as a share of the largest one; parts about rows with such a
+ * current; the evaluations of each hypothesis on them; and −ln of the share of the logs in which a sensor saturates.
+ * Assumed; the last: one of twenty. */
+static const double reached = 0.985, saturated = 3.0;
+enum { NEAR = 200, PLACES = 8, WITHOUT = 3, WITH = 20 };
+
+/* Rows near the largest currents, in no more than PLACES parts. */
+static size_t largest_rows(const learning *l, const fo_growth *g, fo_part places[PLACES])
+{
+    const double least = reached * largest_current(&l->log);
+    size_t count = 0, next = 0;
+    for (size_t n = 0; n < g->count && count < PLACES; n++) {
+        const size_t first = g->parts[n].first, end = first + g->parts[n].rows;
+        for (size_t k = first > next ? first : next; k < end && count < PLACES; k++) {
+            if (phase_current(&l->log, k) < least) continue;
+            size_t from = k > first + NEAR ? k - NEAR : first;
+            if (from < next) from = next;
+            next = k + NEAR < end ? k + NEAR : end;
+            places[count++] = (fo_part){from, next - from};
+        }
+    }
+    return count;
+}
+
+/* Does a sensor of the current saturate? A range just below the largest current explains the rows near it better, or
+ * rises and changes nothing. True: it is a parameter from now on. */
+static bool try_range(learning *l, const fo_growth *g)
+{
+    const double largest = largest_current(&l->log);
+    fo_part places[PLACES];
+    fo_work w = l->work;
+    fo_prior prior = l->prior;
+    fo_posterior tried[2] = {*l->posterior, *l->posterior};
+    w.count = largest_rows(l, g, places);
+    w.parts = places;
+    if (!w.count) return false;
+    put(&prior, FO_L_range, 1.05 * largest, 0.2 * largest);
+    tried[1].parameters[FO_L_range] = reached * largest;
+    bool learnt = true;
+    for (int n = 0; n < 2; n++) {
+        w.problem.course = l->other;
+        memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
+        learnt = learnt && fo_learn(&w, n ? &prior : &l->prior, fine, n ? WITH : WITHOUT, tried + n);
+    }
+    const double range = tried[1].parameters[FO_L_range];
+    if (!learnt || range >= largest || tried[1].objective + saturated >= tried[0].objective) return false;
+    l->prior = prior;
+    l->posterior->parameters[FO_L_range] = range;
+    return true;
+}
+
+/* Voltages that act earlier than this [samples]: they may be those of the next row. */
+static const double early = -0.02;
+
+/* Is the voltage of the next row already there before it? The score of its share would not have mean zero
+ * if it answers the noise of that row, so it is tried, not a value between. */
+static void try_early(learning *l)
+{
+    fo_work *w = &l->work;
+    const double *p = l->posterior->parameters;
+    if (!(p[FO_L_lag] + p[FO_L_delay] < early)) return;
+    fo_posterior tried = *l->posterior;
+    w->problem.course = l->other;
+    memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
+    l->log.early = true;
+    const bool learnt = fo_learn(w, &l->prior, fine, MOST, &tried);
+    l->posterior->evaluations = tried.evaluations;
+    l->log.early = learnt && tried.objective < l->posterior->objective;
+    if (l->log.early) {
+        *l->posterior = tried;
+        exchange_courses(l);
+    }
+    w->problem.course = l->course;
 }
 
 /* What is in samples, in those of a thinned log, or back. */
@@ -598,8 +353,6 @@ static void take_over(const learning *from, const fo_thinned *thin, learning *l)
     fo_posterior *out = l->posterior;
     *out = *from->posterior;
     count_in(thin, true, &out->parameters[FO_L_lag], &out->parameters[FO_L_delay]);
-    l->prior.mean[FO_L_range] = from->prior.mean[FO_L_range];
-    l->prior.std[FO_L_range] = from->prior.std[FO_L_range];
     fo_fill(course, from->log.rows, thin->factor, l->course, rows);
     for (size_t k = 0; k < rows; k++)
         l->course[k].unrest = course[k / FO_STRETCH * FO_STRETCH / thin->factor].unrest;
@@ -610,32 +363,34 @@ static void take_over(const learning *from, const fo_thinned *thin, learning *l)
 /* From one level to the next, the log is thinned so many times more. */
 enum { RATIO = 4 };
 
-/* Learns first on the log thinned by `factor`, a power of two, then on all of it. */
-static fo_outcome learn_levels(learning *l, size_t factor, const double *angles, size_t starts,
-                               const double *parameters)
+/* Learns from a course, first on the log thinned by `factor`, a power of two, then on all of it. */
+static fo_outcome learn_levels(learning *l, size_t factor, const double *angle, const double *parameters)
 {
-    if (factor == 1) return learn(l, angles, starts, parameters) ? FO_ESTIMATED : FO_NO_ESTIMATE;
-    const size_t ratio = factor < RATIO ? factor : RATIO;
-    const size_t rows = l->log.rows, count = (rows + ratio - 1) / ratio;
-    fo_thinned thin;
-    fo_posterior posterior;
-    learning own;
-    double begin[FO_UNKNOWNS], *some = malloc(starts * count * sizeof *some);
-    fo_outcome outcome = FO_NO_MEMORY;
-    if (fo_thin(&l->log, ratio, l->prior.mean[FO_L_lag], &thin)) {
-        const fo_prior prior = thinned_prior(&l->prior, &thin);
-        for (int k = 0; k < FO_UNKNOWNS; k++) begin[k] = parameters ? parameters[k] : (double)NAN;
-        count_in(&thin, false, &begin[FO_L_lag], &begin[FO_L_delay]);
-        if (some && open_learning(&thin.log, l->file, &prior, &posterior, &own)) {
-            for (size_t n = 0; n < starts; n++)
-                for (size_t k = 0; k < count; k++) some[n * count + k] = angles[n * rows + k * ratio];
-            outcome = learn_levels(&own, factor / ratio, some, starts, begin);
-            if (outcome == FO_ESTIMATED) take_over(&own, &thin, l);
-            free_learning(&own);
+    fo_outcome outcome = FO_ESTIMATED;
+    if (factor == 1) {
+        begin_learning(l, angle, parameters);
+    } else {
+        const size_t ratio = factor < RATIO ? factor : RATIO;
+        const size_t rows = l->log.rows, count = (rows + ratio - 1) / ratio;
+        double begin[FO_UNKNOWNS], *some = malloc(count * sizeof *some);
+        fo_thinned thin;
+        fo_posterior posterior;
+        learning own;
+        outcome = FO_NO_MEMORY;
+        if (fo_thin(&l->log, ratio, l->prior.mean[FO_L_lag], &thin)) {
+            const fo_prior prior = thinned_prior(&l->prior, &thin);
+            for (int k = 0; k < FO_UNKNOWNS; k++) begin[k] = parameters ? parameters[k] : (double)NAN;
+            count_in(&thin, false, &begin[FO_L_lag], &begin[FO_L_delay]);
+            if (some && open_learning(&thin.log, l->file, &prior, &posterior, &own)) {
+                for (size_t k = 0; k < count; k++) some[k] = angle[k * ratio];
+                outcome = learn_levels(&own, factor / ratio, some, begin);
+                if (outcome == FO_ESTIMATED) take_over(&own, &thin, l);
+                free_learning(&own);
+            }
+            fo_free_thinned(&thin);
         }
-        fo_free_thinned(&thin);
+        free(some);
     }
-    free(some);
     if (outcome == FO_ESTIMATED && !fo_learn(&l->work, &l->prior, fine, MOST, l->posterior))
         outcome = FO_NO_ESTIMATE;
     return outcome;
@@ -648,21 +403,180 @@ static double decay_of(const fo_file *file)
     return file->map ? 0.0 : file->R / fmin(d, q);
 }
 
+/* Rows of the part on which the parameters are learnt first, at most. */
+enum { SEED = 4096 };
+
+/* Learns on a part of the log; its angles become the smoothed ones. */
+static fo_outcome learn_seed(const learning *l, const fo_part *part, const double *parameters, double *angles)
+{
+    const fo_log *record = &l->log;
+    const fo_log log = {.rows = part->rows,
+                        .sample_time = record->sample_time,
+                        .voltage = record->voltage + 2 * part->first,
+                        .current = record->current + 2 * part->first};
+    double *own = angles + part->first;
+    learning seed;
+    if (!open_learning(&log, l->file, &l->prior, l->posterior, &seed)) return FO_NO_MEMORY;
+    const size_t factor = fo_thinning(&log, own, decay_of(l->file));
+    const fo_outcome outcome = learn_levels(&seed, factor, own, parameters);
+    if (outcome == FO_ESTIMATED)
+        for (size_t k = 0; k < part->rows; k++) own[k] = seed.work.problem.course[k].angle;
+    free_learning(&seed);
+    return outcome;
+}
+
+/* ln: levels of a growing part are no smaller than an ordinary drive's by this much, for the log may be less calm
+ * beside it; the acceleration's is an ordinary drive's. Assumed. */
+static const double calmer = 1.0;
+
+static void raise_levels(const fo_prior *prior, double *p)
+{
+    for (int k = 0; k < FO_LEVELS; k++) {
+        const double less = k == FO_L_acceleration ? 0.0 : calmer;
+        p[k] = fmax(p[k], prior->mean[k] - less);
+    }
+}
+
+/* Grows the parts at the learnt parameters, and begins others. False: no memory. */
+static bool grow_parts(const learning *l, fo_growth *g)
+{
+    double p[FO_UNKNOWNS];
+    size_t n = 0;
+    memcpy(p, l->posterior->parameters, sizeof p);
+    raise_levels(&l->prior, p);
+    do {
+        for (; n < g->count; n++)
+            if (!fo_grow_part(g, g->parts + n, p)) return false;
+    } while (fo_begin_part(g, g->log->rows));
+    fo_join_parts(g);
+    return true;
+}
+
+static double rows_of(const fo_growth *g)
+{
+    double rows = 0.0;
+    for (size_t n = 0; n < g->count; n++) rows += (double)g->parts[n].rows;
+    return rows;
+}
+
+/* Passes of smoothing of a course that has grown. */
+enum { ROUGH = 2 };
+
+/* A part as a problem. */
+static fo_problem part_of(const learning *l, const fo_part *part, fo_log *log)
+{
+    const fo_log *record = &l->log;
+    *log = (fo_log){.rows = part->rows,
+                    .sample_time = record->sample_time,
+                    .voltage = record->voltage + 2 * part->first,
+                    .current = record->current + 2 * part->first};
+    return (fo_problem){log, &l->machine, &l->start, l->course + part->first};
+}
+
+/* The course of the parts, from their angles. A part that cannot be evaluated, or what does not fit, goes. */
+static void set_parts(learning *l, fo_growth *g, const double *parameters)
+{
+    fo_work *w = &l->work;
+    double rough[FO_UNKNOWNS];
+    memcpy(rough, parameters, sizeof rough);
+    raise_levels(&l->prior, rough);
+    for (size_t k = 0; k < l->log.rows; k++) l->course[k] = (fo_course){.unrest = 1.0, .doubt = 1.0};
+    size_t count = 0;
+    for (size_t n = 0; n < g->count; n++) {
+        const fo_part part = g->parts[n];
+        fo_log log;
+        const fo_problem own = part_of(l, &part, &log);
+        fo_set_course(&own, g->angles + part.first, parameters);
+        w->parts = &part;
+        w->count = 1;
+        if (fo_settle(w, rough, ROUGH))
+            g->parts[count++] = part;
+        else
+            for (size_t k = part.first; k < part.first + part.rows; k++) g->angles[k] = (double)NAN;
+    }
+    g->count = count;
+    fo_cut_parts(g, l->course, rough);
+    w->parts = g->parts;
+    w->count = g->count;
+}
+
+/* Learns on all parts, from what the first gave. */
+static bool learn_parts(learning *l, fo_growth *g)
+{
+    double *p = l->posterior->parameters, sum = 0.0, rows = 0.0;
+    set_parts(l, g, p);
+    if (!g->count) return false;
+    for (size_t n = 0; n < g->count; n++) {
+        fo_log log;
+        const fo_problem own = part_of(l, g->parts + n, &log);
+        double level[FO_UNKNOWNS];
+        memcpy(level, p, sizeof level);
+        level[FO_L_acceleration] = l->prior.mean[FO_L_acceleration];
+        fo_begin_unrest(&own, level);
+        sum += (double)log.rows * level[FO_L_acceleration];
+        rows += (double)log.rows;
+    }
+    p[FO_L_acceleration] = sum / rows;
+    return fo_learn(&l->work, &l->prior, fine, MOST, l->posterior);
+}
+
+static void take_angles(const learning *l, const fo_growth *g)
+{
+    for (size_t n = 0; n < g->count; n++)
+        for (size_t k = g->parts[n].first; k < g->parts[n].first + g->parts[n].rows; k++)
+            g->angles[k] = l->work.problem.course[k].angle;
+}
+
+/* Times that parts grow at parameters that they gave, at most, and the growth after which they do so again. */
+enum { ROUNDS = 4 };
+static const double grown = 1.02;
+
+/* The parts of the log that one set of parameters explains, and those. */
+static fo_outcome learn_log(learning *l, const double *parameters, fo_growth *g)
+{
+    if (!fo_begin_part(g, SEED)) return FO_NO_ESTIMATE;
+    fo_outcome outcome = learn_seed(l, g->parts, parameters, g->angles);
+    bool again = true;
+    for (int n = 0; outcome == FO_ESTIMATED && n < ROUNDS; n++) {
+        const fo_growth learnt = *g;
+        if (!grow_parts(l, g)) return FO_NO_MEMORY;
+        if (!again && !(rows_of(g) > grown * rows_of(&learnt))) {
+            *g = learnt;
+            break;
+        }
+        if (!learn_parts(l, g)) return FO_NO_ESTIMATE;
+        take_angles(l, g);
+        again = n == 0 && try_range(l, g);
+    }
+    return outcome;
+}
+
+static bool smooth(learning *l, fo_smoothed *rows)
+{
+    for (size_t k = 0; k < l->log.rows; k++)
+        rows[k] = (fo_smoothed){(double)NAN, HUGE_VAL, (double)NAN, HUGE_VAL};
+    return fo_smooth_parts(&l->work, &l->prior, l->posterior, rows);
+}
+
 fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angles,
-                           size_t starts, const double *parameters, fo_posterior *posterior,
-                           fo_smoothed *rows)
+                           const double *parameters, fo_posterior *posterior, fo_smoothed *rows)
 {
     const fo_prior prior = fo_ordinary_prior(record, file);
     learning l;
     if (!open_learning(record, file, &prior, posterior, &l)) return FO_NO_MEMORY;
-    size_t factor = 1;
-    for (size_t n = 0; n < starts; n++) {
-        const size_t own = fo_thinning(record, angles + n * record->rows, decay_of(file));
-        if (own > factor) factor = own;
+    fo_growth g = {.log = &l.log,
+                   .machine = &l.machine,
+                   .start = &l.start,
+                   .hints = angles,
+                   .angles = malloc(record->rows * sizeof *g.angles)};
+    fo_outcome outcome = g.angles ? FO_ESTIMATED : FO_NO_MEMORY;
+    for (size_t k = 0; g.angles && k < record->rows; k++) g.angles[k] = (double)NAN;
+    if (outcome == FO_ESTIMATED) outcome = learn_log(&l, parameters, &g);
+    if (outcome == FO_ESTIMATED) {
+        try_early(&l);
+        if (!smooth(&l, rows)) outcome = FO_NO_ESTIMATE;
     }
-    fo_outcome outcome = learn_levels(&l, factor, angles, starts, parameters);
-    if (outcome == FO_ESTIMATED) try_early(&l);
-    if (outcome == FO_ESTIMATED && !smooth(&l, rows)) outcome = FO_NO_ESTIMATE;
+    free(g.angles);
     free_learning(&l);
     return outcome;
 }

@@ -40,13 +40,12 @@ void fo_rounding_of(const fo_log *log, double *rounding);
 /* Priors of an ordinary drive. The levels scale with the log's mean voltage and the rated current. */
 fo_prior fo_ordinary_prior(const fo_log *log, const fo_file *file);
 
-/* Estimates from courses that other estimates of the log give. `angles`: `starts` × rows, finite, without
- * jumps of a turn; one start must be right within about half a radian.
- * `parameters`: where learning starts, FO_UNKNOWNS; NaN, and null for all: the mean of the prior. `rows`: an
- * element for each row. */
+/* Estimates a log from angles that an observer gives: `angles` has a number for each row, NaN where it knows none.
+ * They may be wrong in part; the longest run is believed within about half a radian. `rows`: an element for each row,
+ * its angle NaN where nothing explains the currents. `parameters`: where learning starts, FO_UNKNOWNS; NaN, and null
+ * for all: the mean of the prior. */
 fo_outcome fo_estimate_log(const fo_log *log, const fo_file *file, const double *angles,
-                           size_t starts, const double *parameters, fo_posterior *posterior,
-                           fo_smoothed *rows);
+                           const double *parameters, fo_posterior *posterior, fo_smoothed *rows);
 
 #ifdef __cplusplus
 }

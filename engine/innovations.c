@@ -69,6 +69,8 @@ typedef struct {
     by_variance *variances; /* or null */
     size_t skipped;
     fo_likelihood *out;     /* or null */
+    const fo_follower *follower; /* the course follows the filter; or null */
+    fo_course *followed;    /* the same rows as `course`, to write */
 } pass;
 
 /* A measurement update. */
@@ -193,6 +195,10 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
         }
 }
 
+/* A filter that makes its own course would follow an outlier. A normalised square of which 300 of a million rows
+ * have a larger one is doubted, as that of Student's distribution with four degrees of freedom. */
+static const double outlying = 8.0, freedom = 2.0;
+
 /* Measurement update of state and covariance. */
 static bool measure(const pass *q, const double measured[2], double rounding,
                     const fo_prediction *p, fo_filter *f, bool counted, update *z)
@@ -223,6 +229,14 @@ static bool measure(const pass *q, const double measured[2], double rounding,
     z->V[0][1] = z->V[1][0] = -own[0][1] / z->det;
     z->V[1][1] = own[0][0] / z->det;
     for (int a = 0; a < 2; a++) z->w[a] = z->V[a][0] * z->e[0] + z->V[a][1] * z->e[1];
+    f->square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
+    if (q->follower && f->square > outlying) {
+        const double weight = (1.0 + freedom) / (f->square + freedom);
+        for (int a = 0; a < 2; a++) {
+            z->w[a] *= weight;
+            for (int b = 0; b < 2; b++) z->V[a][b] *= weight;
+        }
+    }
     for (int r = 0; r < S; r++) {
         for (int a = 0; a < 2; a++) z->K[r][a] = PH[r][0] * z->V[0][a] + PH[r][1] * z->V[1][a];
         f->x[r] += PH[r][0] * z->w[0] + PH[r][1] * z->w[1];
@@ -773,6 +787,27 @@ static double place_of(const fo_log *log, size_t k)
     return (double)(log->first + k) / (double)(log->whole ? log->whole : log->rows);
 }
 
+/* Angle by which a hint may contradict the filter, besides three of its standard deviations [rad]. Assumed. */
+static const double contradicts = 0.3;
+
+/* The course of the next row: rotor and flux go on turning. */
+static void follow_filter(const pass *q, const fo_filter *f, double h)
+{
+    double turn = h * (f->x[FO_SPEED] + 0.5 * h * f->x[FO_ACCELERATION]);
+    const double hint = q->follower->hints[f->row];
+    if (isfinite(hint)) {
+        const double error = remainder(hint - f->x[FO_ANGLE] - turn, FO_TURN);
+        if (fabs(error) < contradicts + 3.0 * sqrt(f->P[FO_ANGLE][FO_ANGLE])) turn += error;
+    }
+    const double c = cos(turn), s = sin(turn);
+    fo_course *next = q->followed + 1;
+    next->angle = f->x[FO_ANGLE] + turn;
+    next->flux[A] = c * f->x[FO_FLUX] - s * f->x[FO_FLUX + 1];
+    next->flux[B] = s * f->x[FO_FLUX] + c * f->x[FO_FLUX + 1];
+    next->psi = f->x[FO_PSI];
+    next->unrest = next->doubt = 1.0;
+}
+
 /* A row and, unless it is the last, the interval to the next. `at` and `next`: predictions of both.
  * False: a number is not finite, or a covariance is not positive. */
 static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next, fo_filter *f,
@@ -802,6 +837,7 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
     if (row) keep_row(f, at, seen ? &z : NULL, error_by, q->sensitive, row);
     f->row++;
     if (f->row == log->rows) return true;
+    if (q->follower && f->row > q->follower->given) follow_filter(q, f, h);
     f->turning = (q->course[1].angle - q->course[0].angle) / h;
     memcpy(f->rotor, at->rotor, sizeof f->rotor);
     fo_predict(q->m, q->course + 1, f->turning, f->rotor, next);
@@ -842,8 +878,13 @@ bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOW
 {
     const fo_model m = fo_model_of(problem->machine, parameters);
     by_variance by[FO_VARIANCES];
-    pass q = {problem->log, problem->course, &m, fo_elements_of(&m), detail > FO_OBJECTIVE, NULL,
-              problem->start->skipped, out};
+    pass q = {.log = problem->log,
+              .course = problem->course,
+              .m = &m,
+              .elements = fo_elements_of(&m),
+              .sensitive = detail > FO_OBJECTIVE,
+              .skipped = problem->start->skipped,
+              .out = out};
     fo_filter f;
     start_at(problem, &m, &f);
     memset(out, 0, sizeof *out);
@@ -870,10 +911,63 @@ void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
               fo_row *rows)
 {
     const fo_model m = fo_model_of(problem->machine, parameters);
-    pass q = {problem->log, course, &m, fo_elements_of(&m), sensitive, NULL, 0, NULL};
+    pass q = {.log = problem->log,
+              .course = course,
+              .m = &m,
+              .elements = fo_elements_of(&m),
+              .sensitive = sensitive};
     fo_filter f = *from;
     fo_prediction predictions[2];
     predictions[0] = prediction_at(&q, &f);
     for (size_t k = 0; k < count; k++, q.course++)
         pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, rows + k);
+}
+
+/* A window of rows does not fit if the mean of their normalised squares is larger than `misfit`; each counts
+ * `largest` at most, so that a spike or a load step of a quarter of a window is no misfit. The first rows do not
+ * count, nor do those of whose angle a hint is a witness. Assumed. */
+enum { WINDOW = 64, SETTLING = 40 };
+static const double misfit = 6.0, largest = 25.0;
+/* An angle that is known no better than this has no course [rad]: of a uniform angle, 1.81. Assumed. */
+static const double lost = 1.2;
+
+static bool has_witness(const fo_follower *follower, size_t row, double angle)
+{
+    const double hint = follower->hints[row];
+    return isfinite(hint) && fabs(remainder(hint - angle, FO_TURN)) < contradicts;
+}
+
+size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
+                 const fo_follower *follower)
+{
+    const fo_model m = fo_model_of(problem->machine, parameters);
+    pass q = {.log = problem->log,
+              .course = problem->course,
+              .m = &m,
+              .elements = fo_elements_of(&m),
+              .follower = follower,
+              .followed = problem->course};
+    double squares[WINDOW] = {0.0}, sum = 0.0;
+    fo_filter f;
+    fo_prediction predictions[2];
+    start_at(problem, &m, &f);
+    const size_t apart = follower->given < SETTLING ? follower->given : SETTLING;
+    if (apart) {
+        const double turn = q.course[apart].angle - q.course[0].angle;
+        f.x[FO_SPEED] = turn / ((double)apart * problem->log->sample_time);
+    }
+    predictions[0] = prediction_at(&q, &f);
+    for (size_t k = 0; k < problem->log->rows; k++, q.course++, q.followed++) {
+        const size_t fitting = k < WINDOW ? 0 : k - WINDOW;
+        f.square = 0.0;
+        if (!pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, NULL)) return fitting;
+        double *own = squares + k % WINDOW;
+        sum -= *own;
+        const bool counts = k >= SETTLING && !has_witness(follower, k, q.course->angle);
+        *own = counts ? fmin(f.square, largest) : 0.0;
+        sum += *own;
+        if (sum > misfit * (double)WINDOW) return fitting;
+        if (k > follower->given && f.P[FO_ANGLE][FO_ANGLE] > lost * lost) return k;
+    }
+    return problem->log->rows;
 }

@@ -86,6 +86,7 @@ typedef struct {
     double turning;    /* of the course in the last interval [rad/s] */
     double rotor[2];   /* current of the row before; rotor coordinates */
     size_t row;
+    double square;     /* of the last innovation, normalised: 1 if the levels are right */
 } fo_filter;
 
 /* What the filter knows at a row, for the way back. */
@@ -132,6 +133,18 @@ typedef enum {
  * is not finite, or a covariance is not positive. */
 bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], fo_detail detail,
                     fo_likelihood *out, fo_filter *checkpoints);
+
+/* A course that follows the filter: rows whose course is given, and hints at the angle of the others, NaN
+ * where there are none. */
+typedef struct {
+    size_t given;
+    const double *hints;
+} fo_follower;
+
+/* Writes the course that the filter itself predicts, behind the rows that are given. Returns how many rows fit;
+ * it ends where they do not, or where the angle is lost. */
+size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
+                 const fo_follower *follower);
 
 /* `count` rows from a checkpoint on again. `course`: of these rows and the next. The derivatives of angle
  * and innovation are kept if they are wanted (`sensitive`). */

@@ -11,6 +11,8 @@
 extern "C" {
 #endif
 
+#define FO_TURN 6.283185307179586 /* a whole one [rad] */
+
 enum { FO_ALPHA, FO_BETA }; /* components of a vector */
 
 /* Derivatives by the parameters that change the means only. */

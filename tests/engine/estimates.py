@@ -99,7 +99,7 @@ def estimate(
     angle: Array,
     parameters: dict[str, float] | None = None,
 ) -> Estimate:
-    """Estimate a log from one course of the angle, or from several, one in each row.
+    """Estimate a log from angles, NaN where they are not known.
 
     NoEstimate if the log contradicts them. `parameters`: where learning starts, instead of the
     machine file.
@@ -108,13 +108,12 @@ def estimate(
     begin = np.full(UNKNOWNS, np.nan)
     for name, value in (parameters or {}).items():
         begin[INDEX[name]] = value
-    course = np.atleast_2d(np.ascontiguousarray(angle, float))
+    course = np.ascontiguousarray(angle, float)
     with log_of(voltage, current, sample_time) as log:
         outcome = library().fo_estimate_log(
             ctypes.byref(log),
             ctypes.byref(file),
             pointer(course),
-            ctypes.c_size_t(len(course)),
             pointer(begin),
             ctypes.byref(out),
             pointer(rows),

@@ -108,6 +108,7 @@ FILTER = np.dtype(
         ("turning", float),
         ("rotor", float, 2),
         ("row", np.uintp),
+        ("square", float),
     ]
 )
 ROW = np.dtype(
