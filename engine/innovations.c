@@ -196,8 +196,10 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
 }
 
 /* A filter that makes its own course would follow an outlier. A normalised square of which 300 of a million rows
- * have a larger one is doubted, as that of Student's distribution with four degrees of freedom. */
+ * have a larger one is doubted, as that of Student's distribution with four degrees of freedom; but no more than so
+ * many rows that follow each other, nor the first ones, or the filter would believe itself only. Assumed. */
 static const double outlying = 8.0, freedom = 2.0;
+enum { OUTLIERS = 3, SETTLING = 40 };
 
 /* Measurement update of state and covariance. */
 static bool measure(const pass *q, const double measured[2], double rounding,
@@ -230,7 +232,8 @@ static bool measure(const pass *q, const double measured[2], double rounding,
     z->V[1][1] = own[0][0] / z->det;
     for (int a = 0; a < 2; a++) z->w[a] = z->V[a][0] * z->e[0] + z->V[a][1] * z->e[1];
     f->square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
-    if (q->follower && f->square > outlying) {
+    f->doubted = f->square > outlying ? f->doubted + 1 : 0;
+    if (q->follower && f->row > SETTLING && f->doubted > 0 && f->doubted <= OUTLIERS) {
         const double weight = (1.0 + freedom) / (f->square + freedom);
         for (int a = 0; a < 2; a++) {
             z->w[a] *= weight;
@@ -926,7 +929,7 @@ void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
 /* A window of rows does not fit if the mean of their normalised squares is larger than `misfit`; each counts
  * `largest` at most, so that a spike or a load step of a quarter of a window is no misfit. The first rows do not
  * count, nor do those of whose angle a hint is a witness. Assumed. */
-enum { WINDOW = 64, SETTLING = 40 };
+enum { WINDOW = 64 };
 static const double misfit = 6.0, largest = 25.0;
 /* An angle that is known no better than this has no course [rad]: of a uniform angle, 1.81. Assumed. */
 static const double lost = 1.2;

@@ -87,6 +87,7 @@ typedef struct {
     double rotor[2];   /* current of the row before; rotor coordinates */
     size_t row;
     double square;     /* of the last innovation, normalised: 1 if the levels are right */
+    size_t doubted;    /* last rows whose square was that of an outlier */
 } fo_filter;
 
 /* What the filter knows at a row, for the way back. */

@@ -109,6 +109,7 @@ FILTER = np.dtype(
         ("rotor", float, 2),
         ("row", np.uintp),
         ("square", float),
+        ("doubted", np.uintp),
     ]
 )
 ROW = np.dtype(
