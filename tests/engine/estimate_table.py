@@ -77,11 +77,13 @@ def squares(c: Conditions, drives: int) -> list[dict[str, float]]:
         )
     rows = []
     for k, e in enumerate(done):
-        error = degrees(e.rows["angle"], record.angle[:, k])
-        speed = np.gradient(record.angle[:, k], 1e-4)
+        known = np.isfinite(e.rows["angle"])
+        of = e.rows[known]
+        error = degrees(of["angle"], record.angle[known, k])
+        speed = np.gradient(record.angle[:, k], 1e-4)[known]
         row = {
-            "position": float(np.mean((error / np.degrees(e.rows["angle_std"])) ** 2)),
-            "speed": float(np.mean(((e.rows["speed"] - speed) / e.rows["speed_std"]) ** 2)),
+            "position": float(np.mean((error / np.degrees(of["angle_std"])) ** 2)),
+            "speed": float(np.mean(((of["speed"] - speed) / of["speed_std"]) ** 2)),
             "rms": rms(error),
             "L_q error": float(100 * (np.exp(e.value("L_q")) / c.L_q - 1)),
         }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from engine.estimates import Estimate, estimate
 from engine.likelihood import Array, Complex
@@ -13,6 +14,11 @@ from fluxobs.estimation.whole_log import WholeLog
 from fluxobs.logs.for_machine import open_for
 from fluxobs.machines.rotating import RotatingMachine
 from fluxobs.observers.unknowns import AUTO
+
+#: Rows that the engine needs to begin with (engine/growth.c), and the deviation of an angle that is
+#: a hint if so many rows are not valid [rad].
+FIRST = 40
+POOR = 0.3
 
 
 def hints(
@@ -33,7 +39,15 @@ def hints(
     whole = Passes.begun(log, machine, (AUTO,), None, {}, causal=False).whole
     assert isinstance(whole, WholeLog)
     rows = joined_pieces([piece for _, piece in forwards(whole.run, whole.state)])
-    return np.where(anchors_of(rows), rows.angle, np.nan)
+    known = anchors_of(rows)
+    if longest_run(known) < FIRST:
+        known = known | (rows.angle_std < POOR)
+    return np.where(known, rows.angle, np.nan)
+
+
+def longest_run(known: NDArray[np.bool_]) -> int:
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]])))
+    return int((ends[1::2] - ends[::2]).max(initial=0))
 
 
 def started(

@@ -283,8 +283,8 @@ def test_rows_whose_voltages_were_not_applied_have_no_angle():
 
 
 @pytest.mark.slow
-def test_a_long_log_is_learnt_on_parts_first():
-    """The first stages see 8192 rows of 20,000."""
+def test_a_long_log_grows_from_a_part():
+    """The first stage sees 4096 rows of 20,000."""
     c = replace(SURFACE, duration=2.0)
     record = simulated(c, 1, seed=5)
     file = file_of(1.15 * c.R, 0.85 * c.L_d, 0.85 * c.L_q, 1.1 * c.psi, 12.0)
