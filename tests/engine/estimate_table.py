@@ -126,7 +126,7 @@ def measured_row(path: Path) -> list[str]:
     """Return the cells of a measured log: the whole, and the largest errors of its parts."""
     error, whole = part(path, WHOLE)
     halves, quarters = (
-        max(float(np.abs(part(path, rows)[0]).max()) for rows in parts) for parts in PARTS
+        max(float(np.nanmax(np.abs(part(path, rows)[0]))) for rows in parts) for parts in PARTS
     )
     L = 1e3 * np.exp(whole.value("L_d"))
     return [
