@@ -792,15 +792,17 @@ static double place_of(const fo_log *log, size_t k)
 
 /* Angle by which a hint may contradict the filter, besides three of its standard deviations [rad]. Assumed. */
 static const double contradicts = 0.3;
+/* A filter that knows the angle better than this needs no hint [rad]. Assumed. */
+static const double unsure = 0.1;
 
 /* The course of the next row: rotor and flux go on turning. */
 static void follow_filter(const pass *q, const fo_filter *f, double h)
 {
     double turn = h * (f->x[FO_SPEED] + 0.5 * h * f->x[FO_ACCELERATION]);
-    const double hint = q->follower->hints[f->row];
-    if (isfinite(hint)) {
+    const double hint = q->follower->hints[f->row], std = sqrt(f->P[FO_ANGLE][FO_ANGLE]);
+    if (isfinite(hint) && std > unsure) {
         const double error = remainder(hint - f->x[FO_ANGLE] - turn, FO_TURN);
-        if (fabs(error) < contradicts + 3.0 * sqrt(f->P[FO_ANGLE][FO_ANGLE])) turn += error;
+        if (fabs(error) < contradicts + 3.0 * std) turn += error;
     }
     const double c = cos(turn), s = sin(turn);
     fo_course *next = q->followed + 1;

@@ -266,6 +266,17 @@ def test_the_course_grows_beyond_the_rows_with_hints():
     assert np.nanmean((error / np.degrees(e.rows["angle_std"])) ** 2) < 4
 
 
+def test_a_hint_that_is_wrong_does_not_hold_the_course():
+    """A second run of hints, within what a sure filter would confirm, is 14° off."""
+    record = simulated(replace(SURFACE, duration=0.4), 1, seed=4)
+    hint, right = np.full(len(record.angle), np.nan), record.angle[:, 0]
+    hint[1000:1300] = right[1000:1300]
+    hint[2500:2800] = right[2500:2800] + 0.25
+    _, error = grown(record, angle=hint)
+    assert np.isfinite(error).mean() > 0.98
+    assert np.nanmax(np.abs(error)) < 1.5
+
+
 def test_rows_whose_voltages_were_not_applied_have_no_angle():
     """From row 1500 to 2100, the log has a voltage that is 0.6 of that which was applied."""
     record = simulated(replace(SURFACE, duration=0.4), 1, seed=4)
