@@ -6,8 +6,8 @@
 
 #include "begin.h"
 
-/* A part has so many rows, at least; the first may have fewer. The filter starts so many rows inside it, to know the speed and the drift where
- * it leaves it. Assumed. */
+/* A part has so many rows, at least; the first may have fewer. The filter starts so many rows inside it, to know
+ * the speed and the drift where it leaves it. Assumed. */
 enum { SHORTEST = 100, FIRST = 40, INSIDE = 400 };
 /* Rows that are cut out where they do not fit: the window of fo_follow. */
 enum { CUT = 64 };
@@ -59,7 +59,9 @@ static void voltage_of(const fo_log *log, double place, double out[2])
 static bool open_direction(const fo_growth *g, size_t row, size_t count, bool back, double lag, direction *d)
 {
     const fo_log *log = g->log;
-    *d = (direction){.log = {.rows = count, .sample_time = back ? -log->sample_time : log->sample_time, .periods = log->periods},
+    *d = (direction){.log = {.rows = count,
+                             .sample_time = back ? -log->sample_time : log->sample_time,
+                             .periods = log->periods},
                      .course = malloc(count * sizeof *d->course),
                      .values = malloc(6 * count * sizeof *d->values)};
     if (!d->course || !d->values) {
@@ -151,7 +153,7 @@ bool fo_grow_part(const fo_growth *g, fo_part *part, const double parameters[FO_
     return grow(g, part, false, parameters) && grow(g, part, true, parameters);
 }
 
-/* Puts an end to a part, or leaves it. */
+/* These rows are a part, unless they are too few. */
 static void keep(fo_growth *g, size_t first, size_t end)
 {
     if (end - first >= SHORTEST && g->count < FO_MOST_PARTS)
