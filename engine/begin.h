@@ -11,7 +11,7 @@ extern "C" {
 /* Offset of the measured current: what does not turn with the rotor. */
 void fo_begin_offset(const fo_log *log, const double *angle, const fo_prior *prior, double *parameters);
 
-/* Std of a component of the current's noise [A]; zero: there is none. `spare`: a number for each row. */
+/* Std of a component of the current's noise [A], zero without noise. `spare`: a number for each row. */
 double fo_first_noise(const fo_log *log, const double *angle, double *spare);
 
 /* The course through angles, one for each row: its flux is that of the measured current. */

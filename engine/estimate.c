@@ -292,8 +292,8 @@ static bool try_range(learning *l, const fo_growth *g)
     put(&prior, FO_L_range, 1.05 * largest, 0.2 * largest);
     tried[1].parameters[FO_L_range] = reached * largest;
     bool learnt = true;
+    w.problem.course = l->other;
     for (int n = 0; n < 2; n++) {
-        w.problem.course = l->other;
         memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
         learnt = learnt && fo_learn(&w, n ? &prior : &l->prior, fine, n ? WITH : WITHOUT, tried + n);
     }
@@ -403,17 +403,14 @@ static double decay_of(const fo_file *file)
     return file->map ? 0.0 : file->R / fmin(d, q);
 }
 
-/* Rows of the part on which the parameters are learnt first, at most. */
+/* The parameters are learnt first on a part with so many rows at most. */
 enum { SEED = 4096 };
 
 /* Learns on a part of the log; its angles become the smoothed ones. */
 static fo_outcome learn_seed(const learning *l, const fo_part *part, const double *parameters, double *angles)
 {
-    const fo_log *record = &l->log;
-    const fo_log log = {.rows = part->rows,
-                        .sample_time = record->sample_time,
-                        .voltage = record->voltage + 2 * part->first,
-                        .current = record->current + 2 * part->first};
+    fo_log log = fo_rows_of(&l->log, part->first, part->rows);
+    log.first = log.whole = 0; /* its heat begins with the part */
     double *own = angles + part->first;
     learning seed;
     if (!open_learning(&log, l->file, &l->prior, l->posterior, &seed)) return FO_NO_MEMORY;
@@ -465,11 +462,7 @@ enum { ROUGH = 2 };
 /* A part as a problem. */
 static fo_problem part_of(const learning *l, const fo_part *part, fo_log *log)
 {
-    const fo_log *record = &l->log;
-    *log = (fo_log){.rows = part->rows,
-                    .sample_time = record->sample_time,
-                    .voltage = record->voltage + 2 * part->first,
-                    .current = record->current + 2 * part->first};
+    *log = fo_rows_of(&l->log, part->first, part->rows);
     return (fo_problem){log, &l->machine, &l->start, l->course + part->first};
 }
 

@@ -9,8 +9,6 @@
 /* A part has so many rows, at least; the first may have fewer. The filter starts so many rows inside it, to know
  * the speed and the drift where it leaves it. Assumed. */
 enum { SHORTEST = 100, FIRST = 40, INSIDE = 400 };
-/* Rows that are cut out where they do not fit: the window of fo_follow. */
-enum { CUT = 64 };
 /* What is known of the state at the first of these rows, as shares of what is usual: the course is right there. */
 static const double flux_share = 0.03, angle_std = 0.1, speed_share = 0.1;
 /* Angle by which parts that touch may disagree [rad]. Assumed. */
@@ -102,14 +100,11 @@ static size_t room(const fo_growth *g, const fo_part *part, bool back)
     return k;
 }
 
-/* The course within the part, from the row at which the filter begins; in the order of the direction. */
+/* The course of the rows inside the part that the filter passes first, in the order of the direction. */
 static void give_course(const fo_growth *g, size_t row, size_t given, bool back, const double *p, fo_course *course)
 {
     const size_t first = back ? row - given : row;
-    const fo_log log = {.rows = given + 1,
-                        .sample_time = g->log->sample_time,
-                        .voltage = g->log->voltage + 2 * first,
-                        .current = g->log->current + 2 * first};
+    const fo_log log = fo_rows_of(g->log, first, given + 1);
     const fo_problem inside = {&log, g->machine, g->start, course};
     fo_set_course(&inside, g->angles + first, p);
     for (size_t n = 0; back && 2 * n < given; n++) {
@@ -171,18 +166,12 @@ void fo_cut_parts(fo_growth *g, fo_course *course, const double parameters[FO_UN
     for (size_t n = 0; n < count; n++) {
         const size_t end = before[n].first + before[n].rows;
         for (size_t first = before[n].first; first < end;) {
-            const fo_log log = {.rows = end - first,
-                                .sample_time = g->log->sample_time,
-                                .voltage = g->log->voltage + 2 * first,
-                                .current = g->log->current + 2 * first,
-                                .rounding = g->log->rounding ? g->log->rounding + first : NULL,
-                                .first = first,
-                                .whole = g->log->rows};
+            const fo_log log = fo_rows_of(g->log, first, end - first);
             const fo_problem problem = {&log, g->machine, g->start, course + first};
             const fo_follower follower = {log.rows, g->hints + first};
             const size_t fits = first + fo_follow(&problem, parameters, &follower);
             keep(g, first, fits);
-            const size_t next = fits + CUT < end ? fits + CUT : end;
+            const size_t next = fits + FO_WINDOW < end ? fits + FO_WINDOW : end;
             for (size_t k = fits; k < next; k++) g->angles[k] = (double)NAN;
             first = next;
         }

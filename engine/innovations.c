@@ -83,6 +83,18 @@ typedef struct {
     double angle;             /* of the state before it, from the course */
 } update;
 
+fo_log fo_rows_of(const fo_log *log, size_t first, size_t rows)
+{
+    fo_log out = *log;
+    out.rows = rows;
+    out.voltage += 2 * first;
+    out.current += 2 * first;
+    if (out.rounding) out.rounding += first;
+    out.first = first;
+    out.whole = log->rows;
+    return out;
+}
+
 static void start_at(const fo_problem *q, const fo_model *m, fo_filter *f)
 {
     const fo_start *start = q->start;
@@ -201,6 +213,18 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
 static const double outlying = 8.0, freedom = 2.0;
 enum { OUTLIERS = 3, SETTLING = 40 };
 
+static void doubt_outlier(fo_filter *f, update *z)
+{
+    f->square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
+    f->doubted = f->square > outlying ? f->doubted + 1 : 0;
+    if (f->row <= SETTLING || f->doubted == 0 || f->doubted > OUTLIERS) return;
+    const double weight = (1.0 + freedom) / (f->square + freedom);
+    for (int a = 0; a < 2; a++) {
+        z->w[a] *= weight;
+        for (int b = 0; b < 2; b++) z->V[a][b] *= weight;
+    }
+}
+
 /* Measurement update of state and covariance. */
 static bool measure(const pass *q, const double measured[2], double rounding,
                     const fo_prediction *p, fo_filter *f, bool counted, update *z)
@@ -231,15 +255,7 @@ static bool measure(const pass *q, const double measured[2], double rounding,
     z->V[0][1] = z->V[1][0] = -own[0][1] / z->det;
     z->V[1][1] = own[0][0] / z->det;
     for (int a = 0; a < 2; a++) z->w[a] = z->V[a][0] * z->e[0] + z->V[a][1] * z->e[1];
-    f->square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
-    f->doubted = f->square > outlying ? f->doubted + 1 : 0;
-    if (q->follower && f->row > SETTLING && f->doubted > 0 && f->doubted <= OUTLIERS) {
-        const double weight = (1.0 + freedom) / (f->square + freedom);
-        for (int a = 0; a < 2; a++) {
-            z->w[a] *= weight;
-            for (int b = 0; b < 2; b++) z->V[a][b] *= weight;
-        }
-    }
+    if (q->follower) doubt_outlier(f, z);
     for (int r = 0; r < S; r++) {
         for (int a = 0; a < 2; a++) z->K[r][a] = PH[r][0] * z->V[0][a] + PH[r][1] * z->V[1][a];
         f->x[r] += PH[r][0] * z->w[0] + PH[r][1] * z->w[1];
@@ -931,7 +947,6 @@ void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
 /* A window of rows does not fit if the mean of their normalised squares is larger than `misfit`; each counts
  * `largest` at most, so that a spike or a load step of a quarter of a window is no misfit. The first rows do not
  * count, nor do those of whose angle a hint is a witness. Assumed. */
-enum { WINDOW = 64 };
 static const double misfit = 6.0, largest = 25.0;
 /* An angle that is known no better than this has no course [rad]: of a uniform angle, 1.81. Assumed. */
 static const double lost = 1.2;
@@ -952,7 +967,7 @@ size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
               .elements = fo_elements_of(&m),
               .follower = follower,
               .followed = problem->course};
-    double squares[WINDOW] = {0.0}, sum = 0.0;
+    double squares[FO_WINDOW] = {0.0}, sum = 0.0;
     fo_filter f;
     fo_prediction predictions[2];
     start_at(problem, &m, &f);
@@ -963,15 +978,15 @@ size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
     }
     predictions[0] = prediction_at(&q, &f);
     for (size_t k = 0; k < problem->log->rows; k++, q.course++, q.followed++) {
-        const size_t fitting = k < WINDOW ? 0 : k - WINDOW;
+        const size_t fitting = k < FO_WINDOW ? 0 : k - FO_WINDOW;
         f.square = 0.0;
         if (!pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, NULL)) return fitting;
-        double *own = squares + k % WINDOW;
+        double *own = squares + k % FO_WINDOW;
         sum -= *own;
         const bool counts = k >= SETTLING && !has_witness(follower, k, q.course->angle);
         *own = counts ? fmin(f.square, largest) : 0.0;
         sum += *own;
-        if (sum > misfit * (double)WINDOW) return fitting;
+        if (sum > misfit * (double)FO_WINDOW) return fitting;
         if (k > follower->given && f.P[FO_ANGLE][FO_ANGLE] > lost * lost) return k;
     }
     return problem->log->rows;

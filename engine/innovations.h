@@ -39,6 +39,8 @@ enum { FO_ELEMENTS = 43, FO_BENT = 26 };
 enum { FO_SENSITIVE = FO_UNKNOWNS - FO_LEVELS };
 /* Rows from one checkpoint to the next. */
 enum { FO_CHUNK = 64 };
+/* Rows over which fo_follow takes the mean of the squares. */
+enum { FO_WINDOW = 64 };
 
 /* A log. */
 typedef struct {
@@ -52,6 +54,9 @@ typedef struct {
     size_t periods;        /* of the inverter in a row; 0: one */
     bool early;            /* a voltage that acts early is that of the next row; else it is extrapolated */
 } fo_log;
+
+/* Rows of a log that follow each other, as a log. */
+fo_log fo_rows_of(const fo_log *log, size_t first, size_t rows);
 
 /* What is known before the first row: standard deviations about the course. */
 typedef struct {

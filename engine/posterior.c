@@ -261,7 +261,7 @@ static double best_unrest(const stretch_of_unrest *s)
     return bend > 0.0 ? x + 0.5 * apart * (before - after) / bend : x;
 }
 
-/* The largest share of the variance of a sum that is told: more needs two sums. */
+/* Currents that tell a larger share than this see more than one sum. */
 static const double all_told = 0.99;
 
 /* The unrest of each stretch, with an inverse gamma prior about one. */
@@ -359,9 +359,9 @@ static double of_variance(double step)
 }
 
 /* Steps with curvature H + μ D, the smallest μ (from `damping` on) with which none is longer than it may be:
- * D⁻¹ are the squares of the longest steps, which a swing shortens. With a μ relative to H, parameters that the log hardly tells
- * would take absurd values before those that are wrong have moved. The levels, on which the others hardly
- * depend, are shortened one by one; then those that go uphill alone, which others should have made up
+ * D⁻¹ are the squares of the longest steps, which a swing shortens. With a μ relative to H, parameters that the log
+ * hardly tells would take absurd values before those that are wrong have moved. The levels, on which the others
+ * hardly depend, are shortened one by one; then those that go uphill alone, which others should have made up
  * for, stay. */
 static bool trusted_steps(const selection *s, const fo_prior *prior, const double *g,
                           double H[MOST][MOST], double *damping, const swing *swings, double most[MOST],
@@ -440,11 +440,7 @@ typedef struct {
 static void part_of(const fo_work *w, size_t n, part *out)
 {
     const fo_part *own = w->parts + n;
-    const fo_log *log = w->problem.log;
-    out->log = (fo_log){own->rows, log->sample_time, log->voltage + 2 * own->first,
-                        log->current + 2 * own->first,
-                        log->rounding ? log->rounding + own->first : NULL, own->first, log->rows,
-                        log->periods, log->early};
+    out->log = fo_rows_of(w->problem.log, own->first, own->rows);
     out->problem = (fo_problem){&out->log, w->problem.machine, w->problem.start,
                                 w->problem.course + own->first};
     out->checkpoints = w->checkpoints + own->first / FO_CHUNK + n;
