@@ -63,12 +63,12 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     put(&p, FO_L_L_d, log(file->L_d), file->L_std);
     put(&p, FO_L_L_q, log(file->L_q), file->L_std);
     put(&p, FO_L_psi_f, log(file->psi_f), file->psi_f > 0.0 ? file->psi_std : 0.0);
-    /* Rated current alone accelerates to that speed in 5 ms, or much more slowly. */
-    put(&p, FO_L_mobility, 0.0, speed / (0.005 * file->flux * file->rated_current));
+    /* Rated current alone accelerates to that speed in 2 ms, or much more slowly. */
+    put(&p, FO_L_mobility, 0.0, speed / (0.002 * file->flux * file->rated_current));
     put(&p, FO_L_noise, log(0.003 * file->rated_current), 1.5);
     put(&p, FO_L_acceleration, log(10.0 * speed), 3.0);
     put(&p, FO_L_voltage, log(0.001 * u * sqrt(h)), 1.5);
-    put(&p, FO_L_drift, log(0.01 * u), 2.0);
+    put(&p, FO_L_drift, log(0.001 * u), 1.0);
     put(&p, FO_L_loss, log(0.02 * u), 1.5);
     put(&p, FO_L_knee, log(0.03 * file->rated_current), 0.7);
     put(&p, FO_L_lag, file->lag, file->lag_std);
@@ -304,6 +304,9 @@ static bool try_range(learning *l, const fo_growth *g)
     return true;
 }
 
+/* Evaluations of the whole log, once its thinned one is learnt, at most. */
+enum { LAST = 10 };
+
 /* Voltages that act earlier than this [samples]: they may be those of the next row. */
 static const double early = -0.02;
 
@@ -312,13 +315,16 @@ static const double early = -0.02;
 static void try_early(learning *l)
 {
     fo_work *w = &l->work;
-    const double *p = l->posterior->parameters;
-    if (!(p[FO_L_lag] + p[FO_L_delay] < early)) return;
+    const double *p = l->posterior->parameters, *C = l->posterior->covariance;
+    const double late = p[FO_L_lag] + p[FO_L_delay];
+    const double variance = C[FO_L_lag * FO_UNKNOWNS + FO_L_lag] + 2.0 * C[FO_L_lag * FO_UNKNOWNS + FO_L_delay] +
+                            C[FO_L_delay * FO_UNKNOWNS + FO_L_delay];
+    if (!(late < early) || late * late < 4.0 * variance) return;
     fo_posterior tried = *l->posterior;
     w->problem.course = l->other;
     memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
     l->log.early = true;
-    const bool learnt = fo_learn(w, &l->prior, fine, MOST, &tried);
+    const bool learnt = fo_learn(w, &l->prior, fine, LAST, &tried);
     l->posterior->evaluations = tried.evaluations;
     l->log.early = learnt && tried.objective < l->posterior->objective;
     if (l->log.early) {
@@ -513,45 +519,201 @@ static bool learn_parts(learning *l, fo_growth *g)
     return fo_learn(&l->work, &l->prior, fine, MOST, l->posterior);
 }
 
-static void take_angles(const learning *l, const fo_growth *g)
+/* Parts of a log as those of a thinned one. */
+static void thin_parts(const fo_growth *g, size_t factor, fo_growth *thin)
 {
-    for (size_t n = 0; n < g->count; n++)
-        for (size_t k = g->parts[n].first; k < g->parts[n].first + g->parts[n].rows; k++)
-            g->angles[k] = l->work.problem.course[k].angle;
+    for (size_t k = 0; k < thin->log->rows; k++) {
+        thin->hints[k] = g->hints[k * factor];
+        thin->angles[k] = g->angles[k * factor];
+    }
+    thin->count = 0;
+    thin->seed = g->seed / factor;
+    for (size_t n = 0; n < g->count; n++) {
+        const size_t first = (g->parts[n].first + factor - 1) / factor;
+        const size_t end = (g->parts[n].first + g->parts[n].rows - 1) / factor + 1;
+        if (end > first + 1) thin->parts[thin->count++] = (fo_part){first, end - first};
+    }
+}
+
+/* Parts of a thinned log, with their course, for the log of which it is made; a row without a course has no angle. */
+static void fill_parts(const learning *from, const fo_growth *thin, size_t factor, learning *l, fo_growth *g)
+{
+    const size_t rows = l->log.rows;
+    for (size_t k = 0; k < rows; k++) {
+        if (!isfinite(thin->hints[k / factor])) g->hints[k] = (double)NAN;
+        g->angles[k] = (double)NAN;
+        l->course[k] = (fo_course){.angle = (double)NAN, .unrest = 1.0, .doubt = 1.0};
+    }
+    g->count = thin->count;
+    for (size_t n = 0; n < thin->count; n++) {
+        const fo_part *part = thin->parts + n;
+        const size_t first = part->first * factor, count = (part->rows - 1) * factor + 1;
+        const fo_course *course = from->work.problem.course;
+        fo_fill(course + part->first, part->rows, factor, l->course + first, count);
+        for (size_t k = first; k < first + count; k++) {
+            const size_t at = k / FO_STRETCH * FO_STRETCH / factor;
+            l->course[k].unrest = course[at < part->first ? part->first : at].unrest;
+            g->angles[k] = l->course[k].angle;
+        }
+        g->parts[n] = (fo_part){first, count};
+    }
+    l->work.parts = g->parts;
+    l->work.count = g->count;
+}
+
+/* Learns on the parts of the thinned log. */
+static fo_outcome learn_thinned(learning *l, size_t factor, fo_growth *g)
+{
+    fo_thinned thin;
+    if (!fo_thin(&l->log, factor, l->prior.mean[FO_L_lag], &thin)) return FO_NO_MEMORY;
+    const fo_prior prior = thinned_prior(&l->prior, &thin);
+    fo_posterior *out = l->posterior, posterior = *out;
+    double *p = posterior.parameters;
+    learning own;
+    fo_outcome outcome = FO_NO_MEMORY;
+    fo_growth some = {.hints = malloc(2 * thin.log.rows * sizeof(double))};
+    count_in(&thin, false, &p[FO_L_lag], &p[FO_L_delay]);
+    if (some.hints && open_learning(&thin.log, l->file, &prior, &posterior, &own)) {
+        some.log = &own.log;
+        some.machine = &own.machine;
+        some.start = &own.start;
+        some.angles = some.hints + thin.log.rows;
+        thin_parts(g, factor, &some);
+        outcome = learn_parts(&own, &some) ? FO_ESTIMATED : FO_NO_ESTIMATE;
+        if (outcome == FO_ESTIMATED) {
+            fill_parts(&own, &some, factor, l, g);
+            count_in(&thin, true, &p[FO_L_lag], &p[FO_L_delay]);
+            *out = posterior;
+        }
+        free_learning(&own);
+    }
+    free(some.hints);
+    fo_free_thinned(&thin);
+    return outcome;
+}
+
+/* Learns on all rows of the parts, with those that have grown since. */
+static fo_outcome finish(learning *l, fo_growth *g)
+{
+    const double *p = l->posterior->parameters;
+    double rough[FO_UNKNOWNS];
+    memcpy(rough, p, sizeof rough);
+    raise_levels(&l->prior, rough);
+    for (size_t n = 0; n < g->count; n++) {
+        const size_t end = g->parts[n].first + g->parts[n].rows;
+        for (size_t k = g->parts[n].first, next; k < end; k = next) {
+            const bool set = isfinite(l->course[k].angle);
+            for (next = k + 1; next < end && isfinite(l->course[next].angle) == set;) next++;
+            for (size_t at = k; set && at < next; at++) /* it may be another turn */
+                if (isfinite(g->angles[at])) l->course[at].angle = g->angles[at];
+            if (set) continue;
+            const fo_part rest = {k, next - k};
+            fo_log log;
+            const fo_problem own = part_of(l, &rest, &log);
+            fo_set_course(&own, g->angles + k, p);
+        }
+    }
+    fo_cut_parts(g, l->course, rough);
+    l->work.parts = g->parts;
+    l->work.count = g->count;
+    return fo_learn(&l->work, &l->prior, fine, LAST, l->posterior) ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }
 
 /* Times that parts grow at parameters that they gave, at most, and the growth after which they do so again. */
 enum { ROUNDS = 4 };
+/* The parts are learnt on every fourth row at most: more coarsely, where they end would be. */
+enum { COARSEST = 4 };
 static const double grown = 1.02;
 
-/* The parts of the log that one set of parameters explains, and those. */
-static fo_outcome learn_log(learning *l, const double *parameters, fo_growth *g)
+/* Prior–data conflict of a course that is not believed, and runs of hints that are tried, at most. */
+static const double conflicting = 35.0;
+enum { SEEDS = 6 };
+
+static double conflict_of(const learning *l)
 {
-    if (!fo_begin_part(g, SEED)) return FO_NO_ESTIMATE;
-    fo_outcome outcome = learn_seed(l, g->parts, parameters, g->angles);
+    return fo_conflict_of(&l->prior, l->posterior);
+}
+
+/* Learns on the longest run of hints that gives parameters which a machine may have. Hints that do not are forgotten,
+ * then all that are not sure. */
+static fo_outcome learn_seeds(const learning *l, const double *parameters, bool sure, fo_growth *g)
+{
+    for (int n = 0; n < SEEDS && fo_begin_part(g, SEED); n++) {
+        const fo_part own = g->parts[0];
+        const fo_outcome outcome = learn_seed(l, &own, parameters, g->angles);
+        g->seed = own.first + own.rows / 2;
+        if (outcome == FO_NO_MEMORY) return outcome;
+        if (outcome == FO_ESTIMATED && conflict_of(l) < conflicting) {
+            for (size_t k = 0; !sure && k < l->log.rows; k++) g->hints[k] = (double)NAN;
+            return outcome;
+        }
+        fo_forget(g, &own);
+        g->count = 0;
+    }
+    return FO_NO_ESTIMATE;
+}
+
+/* Parameters that hints gave which are not sure must explain other rows too: so many times those of the seed, or
+ * this share of the log. Assumed. */
+static const double proof = 2.0, nearly_all = 0.9;
+
+/* Grows the parts and learns on them, until they grow no more or what they give is no machine. */
+static fo_outcome learn_grown(learning *l, bool sure, fo_growth *g)
+{
+    const size_t rows = l->log.rows;
+    const double own = rows_of(g);
+    size_t factor = 1;
     bool again = true;
-    for (int n = 0; outcome == FO_ESTIMATED && n < ROUNDS; n++) {
+    for (int n = 0; n < ROUNDS; n++) {
         const fo_growth learnt = *g;
+        const fo_posterior before = *l->posterior;
         if (!grow_parts(l, g)) return FO_NO_MEMORY;
-        if (!again && !(rows_of(g) > grown * rows_of(&learnt))) {
+        if (!again && !(rows_of(g) > grown * rows_of(&learnt))) break;
+        memcpy(l->other, l->course, rows * sizeof *l->course);
+        const fo_growth all = *g;
+        memcpy(l->spare, g->angles, rows * sizeof *l->spare);
+        factor = fo_thinning(&l->log, g->angles, decay_of(l->file));
+        if (factor > COARSEST) factor = COARSEST;
+        for (;; factor /= 4) {
+            const fo_outcome outcome = learn_thinned(l, factor, g);
+            if (outcome != FO_ESTIMATED) return outcome;
+            if (factor < 4 || conflict_of(l) < conflicting) break;
+            *g = all;
+            *l->posterior = before;
+            memcpy(g->angles, l->spare, rows * sizeof *l->spare);
+        }
+        if (conflict_of(l) >= conflicting) {
+            if (n == 0) return FO_NO_ESTIMATE;
             *g = learnt;
+            *l->posterior = before;
+            exchange_courses(l);
             break;
         }
-        if (!learn_parts(l, g)) return FO_NO_ESTIMATE;
-        take_angles(l, g);
         again = n == 0 && try_range(l, g);
     }
-    return outcome;
+    const fo_outcome outcome = finish(l, g);
+    if (outcome != FO_ESTIMATED) return outcome;
+    if (conflict_of(l) >= conflicting) return FO_NO_ESTIMATE;
+    const double known = rows_of(g);
+    return sure || known > proof * own || known > nearly_all * (double)rows ? FO_ESTIMATED : FO_NO_ESTIMATE;
+}
+
+/* The parts of the log that one set of parameters explains, and those. */
+static fo_outcome learn_log(learning *l, const double *parameters, bool sure, fo_growth *g)
+{
+    const fo_outcome outcome = learn_seeds(l, parameters, sure, g);
+    return outcome == FO_ESTIMATED ? learn_grown(l, sure, g) : outcome;
 }
 
 static bool smooth(learning *l, fo_smoothed *rows)
 {
+    l->posterior->conflict = fo_conflict_of(&l->prior, l->posterior);
     for (size_t k = 0; k < l->log.rows; k++)
         rows[k] = (fo_smoothed){(double)NAN, HUGE_VAL, (double)NAN, HUGE_VAL};
     return fo_smooth_parts(&l->work, &l->prior, l->posterior, rows);
 }
 
-fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angles,
+fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angles, bool sure,
                            const double *parameters, fo_posterior *posterior, fo_smoothed *rows)
 {
     const fo_prior prior = fo_ordinary_prior(record, file);
@@ -560,15 +722,19 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
     fo_growth g = {.log = &l.log,
                    .machine = &l.machine,
                    .start = &l.start,
-                   .hints = angles,
+                   .hints = malloc(record->rows * sizeof *g.hints),
                    .angles = malloc(record->rows * sizeof *g.angles)};
-    fo_outcome outcome = g.angles ? FO_ESTIMATED : FO_NO_MEMORY;
-    for (size_t k = 0; g.angles && k < record->rows; k++) g.angles[k] = (double)NAN;
-    if (outcome == FO_ESTIMATED) outcome = learn_log(&l, parameters, &g);
+    fo_outcome outcome = g.hints && g.angles ? FO_ESTIMATED : FO_NO_MEMORY;
+    for (size_t k = 0; outcome == FO_ESTIMATED && k < record->rows; k++) {
+        g.hints[k] = angles[k];
+        g.angles[k] = (double)NAN;
+    }
+    if (outcome == FO_ESTIMATED) outcome = learn_log(&l, parameters, sure, &g);
     if (outcome == FO_ESTIMATED) {
         try_early(&l);
         if (!smooth(&l, rows)) outcome = FO_NO_ESTIMATE;
     }
+    free(g.hints);
     free(g.angles);
     free_learning(&l);
     return outcome;

@@ -9,6 +9,10 @@
 /* A part has so many rows, at least; the first may have fewer. The filter starts so many rows inside it, to know
  * the speed and the drift where it leaves it. Assumed. */
 enum { SHORTEST = 100, FIRST = 40, INSIDE = 400 };
+/* Behind rows that do not fit, so many are left out. Assumed. */
+enum { APART = 64 };
+/* An observer notices so many rows late that it is wrong. Assumed. */
+enum { LATE = 60 };
 /* What is known of the state at the first of these rows, as shares of what is usual: the course is right there. */
 static const double flux_share = 0.03, angle_std = 0.1, speed_share = 0.1;
 /* Angle by which parts that touch may disagree [rad]. Assumed. */
@@ -25,6 +29,7 @@ bool fo_begin_part(fo_growth *g, size_t longest)
         from = k + 1;
     }
     if (best.rows < (g->count ? SHORTEST : FIRST)) return false;
+    if (best.rows > SHORTEST + LATE) best.rows -= LATE;
     if (best.rows > longest) best = (fo_part){best.first + (best.rows - longest) / 2, longest};
     for (size_t k = best.first; k < best.first + best.rows; k++) {
         const double before = k > best.first ? g->angles[k - 1] : g->hints[k];
@@ -148,13 +153,20 @@ bool fo_grow_part(const fo_growth *g, fo_part *part, const double parameters[FO_
     return grow(g, part, false, parameters) && grow(g, part, true, parameters);
 }
 
+void fo_forget(const fo_growth *g, const fo_part *part)
+{
+    for (size_t k = part->first; k < part->first + part->rows; k++) g->angles[k] = g->hints[k] = (double)NAN;
+}
+
 /* These rows are a part, unless they are too few. */
 static void keep(fo_growth *g, size_t first, size_t end)
 {
     if (end - first >= SHORTEST && g->count < FO_MOST_PARTS)
         g->parts[g->count++] = (fo_part){first, end - first};
-    else
-        for (size_t k = first; k < end; k++) g->angles[k] = (double)NAN;
+    else {
+        const fo_part few = {first, end - first};
+        fo_forget(g, &few);
+    }
 }
 
 void fo_cut_parts(fo_growth *g, fo_course *course, const double parameters[FO_UNKNOWNS])
@@ -171,8 +183,9 @@ void fo_cut_parts(fo_growth *g, fo_course *course, const double parameters[FO_UN
             const fo_follower follower = {log.rows, g->hints + first};
             const size_t fits = first + fo_follow(&problem, parameters, &follower);
             keep(g, first, fits);
-            const size_t next = fits + FO_WINDOW < end ? fits + FO_WINDOW : end;
-            for (size_t k = fits; k < next; k++) g->angles[k] = (double)NAN;
+            const size_t next = fits + APART < end ? fits + APART : end;
+            const fo_part misfit = {fits, next - fits};
+            fo_forget(g, &misfit);
             first = next;
         }
     }
@@ -184,24 +197,40 @@ static int by_place(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+/* Joins a part to the one before it. False: they do not agree. */
+static bool join(const fo_growth *g, fo_part *last, const fo_part *next)
+{
+    double *angle = g->angles + next->first;
+    const double step = angle[0] - (2.0 * angle[-1] - angle[-2]);
+    const double error = remainder(step, FO_TURN);
+    if (fabs(error) >= agrees) return false;
+    for (size_t k = 0; k < next->rows; k++) angle[k] += error - step;
+    last->rows += next->rows;
+    return true;
+}
+
+static bool has_seed(const fo_growth *g, const fo_part *part)
+{
+    return g->seed >= part->first && g->seed - part->first < part->rows;
+}
+
 void fo_join_parts(fo_growth *g)
 {
     size_t count = 0;
     qsort(g->parts, g->count, sizeof *g->parts, by_place);
     for (size_t n = 0; n < g->count; n++) {
-        const fo_part *next = g->parts + n;
+        const fo_part next = g->parts[n];
         fo_part *last = count ? g->parts + count - 1 : NULL;
-        if (last && last->first + last->rows == next->first) {
-            double *angle = g->angles + next->first;
-            const double step = angle[0] - (2.0 * angle[-1] - angle[-2]);
-            const double error = remainder(step, FO_TURN);
-            if (fabs(error) < agrees) {
-                for (size_t k = 0; k < next->rows; k++) angle[k] += error - step;
-                last->rows += next->rows;
+        if (last && last->first + last->rows == next.first) {
+            if (join(g, last, &next)) continue;
+            if (has_seed(g, last) || (!has_seed(g, &next) && last->rows >= next.rows)) {
+                fo_forget(g, &next);
                 continue;
             }
+            fo_forget(g, last);
+            count--;
         }
-        g->parts[count++] = *next;
+        g->parts[count++] = next;
     }
     g->count = count;
 }

@@ -17,10 +17,11 @@ typedef struct {
     const fo_log *log;
     const fo_machine *machine;
     const fo_start *start;
-    const double *hints; /* angles that others give, in any turn; NaN: none */
+    double *hints; /* angles that others give, in any turn; NaN: none */
     double *angles;      /* of the parts, without jumps of a turn; NaN outside */
     fo_part parts[FO_MOST_PARTS]; /* in the order of their rows, once they are joined */
     size_t count;
+    size_t seed; /* a row of the part that is believed most */
 } fo_growth;
 
 /* Begins a part with the longest run of hints outside the parts, or with `longest` rows in its middle. False: there
@@ -34,8 +35,12 @@ bool fo_grow_part(const fo_growth *growth, fo_part *part, const double parameter
  * may be several parts, or none. */
 void fo_cut_parts(fo_growth *growth, fo_course *course, const double parameters[FO_UNKNOWNS]);
 
-/* Joins parts that touch each other and agree. */
+/* Joins parts that touch each other and agree. Of two that do not agree, one is wrong: that with the seed stays, or
+ * the longer one. */
 void fo_join_parts(fo_growth *growth);
+
+/* Forgets a part, and the hints on its rows. */
+void fo_forget(const fo_growth *growth, const fo_part *part);
 
 #ifdef __cplusplus
 }

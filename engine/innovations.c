@@ -71,6 +71,7 @@ typedef struct {
     fo_likelihood *out;     /* or null */
     const fo_follower *follower; /* the course follows the filter; or null */
     fo_course *followed;    /* the same rows as `course`, to write */
+    double load_step;       /* variance of the acceleration by which a load step changes it */
 } pass;
 
 /* A measurement update. */
@@ -223,6 +224,18 @@ static void doubt_outlier(fo_filter *f, update *z)
         z->w[a] *= weight;
         for (int b = 0; b < 2; b++) z->V[a][b] *= weight;
     }
+}
+
+/* More such rows are those of a load step: then the filter does not know the acceleration, but no more than once in
+ * so many rows (manoeuvre detection). The step accelerates to the usual speed in 10 ms. Assumed. */
+enum { CALM = 40 };
+static const double quicker = 10.0;
+
+static void expect_load_step(const pass *q, fo_filter *f)
+{
+    if (f->doubted <= OUTLIERS || f->row < f->calm) return;
+    f->P[FO_ACCELERATION][FO_ACCELERATION] += q->load_step;
+    f->calm = f->row + CALM;
 }
 
 /* Measurement update of state and covariance. */
@@ -858,6 +871,7 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
     if (row) keep_row(f, at, seen ? &z : NULL, error_by, q->sensitive, row);
     f->row++;
     if (f->row == log->rows) return true;
+    if (q->follower) expect_load_step(q, f);
     if (q->follower && f->row > q->follower->given) follow_filter(q, f, h);
     f->turning = (q->course[1].angle - q->course[0].angle) / h;
     memcpy(f->rotor, at->rotor, sizeof f->rotor);
@@ -873,8 +887,13 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
                         log->periods ? log->periods : 1};
     transition F;
     advance(q, &t, seen ? &z : NULL, residual, f, &F);
-    if (!known) { /* held, and as uncertain as it is large */
-        const double more = 0.5 * h * h * (held[0] * held[0] + held[1] * held[1]);
+    f->unknown = known ? 0 : f->unknown + 1;
+    if (!known) {
+        const double *flux = q->course->flux, speed = f->turning;
+        const double large = fmax(held[0] * held[0] + held[1] * held[1],
+                                  speed * speed * (flux[0] * flux[0] + flux[1] * flux[1]));
+        /* The error of one interval is that of the next, so the std of their sum is their number times one. */
+        const double more = 0.5 * h * h * large * (2.0 * (double)f->unknown - 1.0);
         for (int a = 0; a < 2; a++) f->P[a][a] += more;
     }
     if (row) keep_transition(&F, row);
@@ -944,12 +963,16 @@ void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
         pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, rows + k);
 }
 
-/* A window of rows does not fit if the mean of their normalised squares is larger than `misfit`; each counts
- * `largest` at most, so that a spike or a load step of a quarter of a window is no misfit. The first rows do not
- * count, nor do those of whose angle a hint is a witness. Assumed. */
-static const double misfit = 6.0, largest = 25.0;
+/* Page's cumulative sum of the normalised squares above `usual`: once it exceeds `misfit`, rows do not fit from where
+ * it last was zero. Each square counts `largest` at most, so that a spike or a load step of eight rows is no misfit.
+ * The first rows do not count; where a hint is a witness of the angle, the sum falls. Assumed. */
+static const double usual = 3.0, misfit = 200.0, largest = 25.0;
+/* Rows in which the filter's drift may hide what does not fit. Assumed. */
+enum { BEFORE = 40 };
 /* An angle that is known no better than this has no course [rad]: of a uniform angle, 1.81. Assumed. */
 static const double lost = 1.2;
+/* Intervals without a voltage, behind which the flux is lost. Assumed. */
+enum { GAP = 10 };
 
 static bool has_witness(const fo_follower *follower, size_t row, double angle)
 {
@@ -966,8 +989,10 @@ size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
               .m = &m,
               .elements = fo_elements_of(&m),
               .follower = follower,
-              .followed = problem->course};
-    double squares[FO_WINDOW] = {0.0}, sum = 0.0;
+              .followed = problem->course,
+              .load_step = pow(quicker * problem->start->acceleration_std, 2.0)};
+    double sum = 0.0;
+    size_t fitting = 0;
     fo_filter f;
     fo_prediction predictions[2];
     start_at(problem, &m, &f);
@@ -978,15 +1003,15 @@ size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
     }
     predictions[0] = prediction_at(&q, &f);
     for (size_t k = 0; k < problem->log->rows; k++, q.course++, q.followed++) {
-        const size_t fitting = k < FO_WINDOW ? 0 : k - FO_WINDOW;
         f.square = 0.0;
+        if (f.unknown > GAP) return k - f.unknown;
         if (!pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, NULL)) return fitting;
-        double *own = squares + k % FO_WINDOW;
-        sum -= *own;
-        const bool counts = k >= SETTLING && !has_witness(follower, k, q.course->angle);
-        *own = counts ? fmin(f.square, largest) : 0.0;
-        sum += *own;
-        if (sum > misfit * (double)FO_WINDOW) return fitting;
+        if (k >= SETTLING) {
+            const bool counts = !has_witness(follower, k, q.course->angle);
+            sum = fmax(sum + (counts ? fmin(f.square, largest) : 0.0) - usual, 0.0);
+        }
+        if (sum == 0.0) fitting = k + 1;
+        if (sum > misfit) return fitting > BEFORE ? fitting - BEFORE : 0;
         if (k > follower->given && f.P[FO_ANGLE][FO_ANGLE] > lost * lost) return k;
     }
     return problem->log->rows;

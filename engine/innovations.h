@@ -39,8 +39,6 @@ enum { FO_ELEMENTS = 43, FO_BENT = 26 };
 enum { FO_SENSITIVE = FO_UNKNOWNS - FO_LEVELS };
 /* Rows from one checkpoint to the next. */
 enum { FO_CHUNK = 64 };
-/* Rows over which fo_follow takes the mean of the squares. */
-enum { FO_WINDOW = 64 };
 
 /* A log. */
 typedef struct {
@@ -93,6 +91,8 @@ typedef struct {
     size_t row;
     double square;     /* of the last innovation, normalised: 1 if the levels are right */
     size_t doubted;    /* last rows whose square was that of an outlier */
+    size_t calm;       /* row from which on a load step may come */
+    size_t unknown;    /* last rows whose voltage is missing: it is held, and as uncertain as it is large */
 } fo_filter;
 
 /* What the filter knows at a row, for the way back. */

@@ -71,6 +71,18 @@ static penalty penalty_at(const fo_prior *prior, const double *p, double harmoni
     return out;
 }
 
+double fo_conflict_of(const fo_prior *prior, const fo_posterior *at)
+{
+    fo_prior own = *prior;
+    double p[FO_UNKNOWNS], sum = 0.0;
+    memcpy(p, at->parameters, sizeof p);
+    for (int k = 0; k < FO_LEVELS; k++) p[k] = fmax(p[k], prior->mean[k]);
+    p[FO_L_loss] = fmax(p[FO_L_loss], prior->mean[FO_L_loss]);
+    own.std[FO_L_knee] = own.harmonics = 0.0;
+    for (int k = FO_L; prior->harmonics > 0.0 && k < FO_UNKNOWNS; k++) sum += pow(p[k] / prior->harmonics, 2.0);
+    return 2.0 * penalty_at(&own, p, 1.0).value + sum;
+}
+
 /* Indices of the free parameters. If the machine has one inductance, L_q moves with L_d. */
 typedef struct {
     int count, at[MOST];

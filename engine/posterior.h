@@ -22,6 +22,7 @@ typedef struct {
     double harmonics;   /* level of the harmonics [Wb] */
     double objective;   /* −ln of likelihood and priors, without constant */
     double mean_square; /* of the normalised innovations */
+    double conflict;    /* with the priors; see fo_conflict_of */
     size_t evaluations; /* of the likelihood */
     bool converged;     /* false: the bound on evaluations ended it */
 } fo_posterior;
@@ -46,6 +47,12 @@ typedef struct {
     fo_squares *squares;
     fo_course *before, *best;
 } fo_work;
+
+/* Prior–data conflict: twice −ln of the priors, without constant, so that a parameter which is d standard deviations
+ * off counts d², less if its tails are heavy. A level that is smaller than usual is no conflict. For a machine and a
+ * drive that the priors describe, it has about the distribution χ² of the parameters that the log tells; a course that
+ * is wrong makes parameters and errors that no drive has. */
+double fo_conflict_of(const fo_prior *prior, const fo_posterior *at);
 
 /* Learns from `out->parameters`, `out->harmonics` and the course: Gauss–Newton steps within a trust region, at most
  * `most` evaluations, until a step is expected to gain less than `gain` and the last gained little, or until some

@@ -66,8 +66,8 @@ def from_truth(drive: Drive) -> Estimate:
     u, h = drive.voltage[ROWS], drive.sample_time
     volts = float(np.sqrt(np.nanmean(np.abs(u) ** 2)))
     file = machine_file(example(drive.machine), h, voltage=volts, true=drive.values)
-    current = measured(u, drive.current[ROWS], h)
-    return estimate(u, current, h, file, np.unwrap(drive.theta[ROWS]))
+    applied, current = measured(u, drive.current[ROWS], h)
+    return estimate(applied, current, h, file, np.unwrap(drive.theta[ROWS]))
 
 
 def score(drive: Drive, truth: bool) -> Score:

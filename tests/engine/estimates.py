@@ -37,7 +37,10 @@ class _Posterior(ctypes.Structure):
     _fields_ = (
         ("parameters", ctypes.c_double * UNKNOWNS),
         ("covariance", ctypes.c_double * UNKNOWNS**2),
-        *((name, ctypes.c_double) for name in ("harmonics", "objective", "mean_square")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("harmonics", "objective", "mean_square", "conflict")
+        ),
         ("evaluations", ctypes.c_size_t),
         ("converged", ctypes.c_bool),
     )
@@ -53,6 +56,7 @@ class Estimate:
     harmonics: float
     objective: float
     mean_square: float
+    conflict: float
     evaluations: int
     converged: bool
 
@@ -87,7 +91,7 @@ def with_errors(file: File, voltage: float | None) -> File:
     if voltage is not None:
         current = file.rated_current
         file.delay_std, file.heat_std, file.gain_std = 0.2, 0.05, 0.01
-        file.iron_std, file.offset_std = 0.02 * current / voltage, 0.01 * current
+        file.iron_std, file.offset_std = 0.02 * current / voltage, 0.02 * current
     return file
 
 
@@ -98,8 +102,9 @@ def estimate(
     file: File,
     angle: Array,
     parameters: dict[str, float] | None = None,
+    sure: bool = True,
 ) -> Estimate:
-    """Estimate a log from angles, NaN where they are not known.
+    """Estimate a log from angles, NaN where they are not known; `sure`: those of valid rows.
 
     NoEstimate if the log contradicts them. `parameters`: where learning starts, instead of the
     machine file.
@@ -114,6 +119,7 @@ def estimate(
             ctypes.byref(log),
             ctypes.byref(file),
             pointer(course),
+            ctypes.c_bool(sure),
             pointer(begin),
             ctypes.byref(out),
             pointer(rows),
@@ -128,6 +134,7 @@ def estimate(
         out.harmonics,
         out.objective,
         out.mean_square,
+        out.conflict,
         out.evaluations,
         out.converged,
     )

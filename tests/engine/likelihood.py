@@ -110,6 +110,8 @@ FILTER = np.dtype(
         ("row", np.uintp),
         ("square", float),
         ("doubted", np.uintp),
+        ("calm", np.uintp),
+        ("unknown", np.uintp),
     ]
 )
 ROW = np.dtype(

@@ -96,10 +96,17 @@ def machine_file(
     return with_errors(file, voltage)
 
 
-def measured(voltage: Complex, current: Complex, sample_time: float) -> Complex:
-    """Return the current, NaN where the marks of the log say that it is no measurement."""
+def measured(voltage: Complex, current: Complex, sample_time: float) -> tuple[Complex, Complex]:
+    """Return voltage and current, NaN where the marks of the log say that they are not these.
+
+    Nor are they in a row that repeats the one before it bit by bit, zeros included: a logger that
+    repeats rows or a drive that counts as stopped.
+    """
     i, u = (np.stack([x.real, x.imag], axis=1) for x in (current, voltage))
     sizes = [float(np.nanpercentile(np.abs(x), 95)) for x in (current, voltage)]
     rows = Aligned(sample_time * np.arange(len(i)), i, u, None)
     marks = Detector(*sizes, 0.0).marks(rows)
-    return np.where(marks & NO_MEASUREMENT > 0, np.nan, current)
+    same = np.zeros(len(current), bool)
+    same[1:] = (np.diff(current) == 0) & (np.diff(voltage) == 0)
+    known = np.where(same | (marks & NO_MEASUREMENT > 0), np.nan, current)
+    return np.where(same, np.nan, voltage), known

@@ -27,8 +27,11 @@ def hints(
     sample_time: float,
     machine: RotatingMachine,
     lag: float,
-) -> Array:
-    """Return the angle of the observers, NaN where it is not valid.
+) -> tuple[Array, bool]:
+    """Return the angle of the observers where it is valid, NaN elsewhere, and whether it is sure.
+
+    They run twice, with the machine file and with what the first run has learnt. Where neither is
+    valid for long enough, less certain angles count, which are not sure.
 
     Parameters
     ----------
@@ -36,13 +39,20 @@ def hints(
         That the voltages act later than the log says [samples].
     """
     log = open_for((voltage, current), machine, sample_time=sample_time, lag=-lag + 0.0)
+    first = Passes.begun(log, machine, (AUTO,), None, {}, causal=True)
     whole = Passes.begun(log, machine, (AUTO,), None, {}, causal=False).whole
     assert isinstance(whole, WholeLog)
-    rows = joined_pieces([piece for _, piece in forwards(whole.run, whole.state)])
-    known = anchors_of(rows)
-    if longest_run(known) < FIRST:
-        known = known | (rows.angle_std < POOR)
-    return np.where(known, rows.angle, np.nan)
+    runs = [
+        joined_pieces([piece for _, piece in forwards(run, state)])
+        for run, state in ((first.run, first.state), (whole.run, whole.state))
+    ]
+    valid = runs[0].valid & np.isfinite(runs[0].angle)
+    sure = longest_run(valid) >= FIRST
+    known = anchors_of(runs[1])
+    if not sure and longest_run(known) < FIRST:
+        known = known | (runs[1].angle_std < POOR)
+    second = np.where(known, runs[1].angle, np.nan)
+    return np.where(valid, runs[0].angle, second), sure
 
 
 def longest_run(known: NDArray[np.bool_]) -> int:
@@ -77,9 +87,9 @@ def started(
     file = machine_file(
         machine, sample_time, lag, rated_current, voltage=volts if ordinary else None
     )
-    own = measured(voltage, current, sample_time)
-    angle = hints(voltage, current, sample_time, machine, lag[0])
-    return estimate(voltage, own, sample_time, file, angle)
+    applied, own = measured(voltage, current, sample_time)
+    angle, sure = hints(voltage, current, sample_time, machine, lag[0])
+    return estimate(applied, own, sample_time, file, angle, sure=sure)
 
 
 def rms(values: Array) -> float:

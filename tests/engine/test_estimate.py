@@ -245,13 +245,16 @@ def test_readings_that_hardly_change_do_not_make_the_estimate_sure():
 
 
 def grown(
-    record: Record, voltage: Complex | None = None, angle: Array | None = None
+    record: Record,
+    voltage: Complex | None = None,
+    angle: Array | None = None,
+    sure: bool = True,
 ) -> tuple[Estimate, Array]:
     """Estimate a surface machine with a poor file; return this and the errors of the angle [°]."""
     c, u = SURFACE, record.voltage[:, 0] if voltage is None else voltage
     file = file_of(1.15 * c.R, 0.85 * c.L_d, 0.85 * c.L_q, 1.1 * c.psi, 12.0)
     hint = course(record, 0) if angle is None else angle
-    e = estimate(u, record.current[:, 0], H, file, hint)
+    e = estimate(u, record.current[:, 0], H, file, hint, sure=sure)
     return e, degrees(e.rows["angle"], record.angle[:, 0])
 
 
@@ -275,6 +278,66 @@ def test_a_hint_that_is_wrong_does_not_hold_the_course():
     _, error = grown(record, angle=hint)
     assert np.isfinite(error).mean() > 0.98
     assert np.nanmax(np.abs(error)) < 1.5
+
+
+def test_hints_that_no_machine_explains_are_forgotten():
+    """The longest run of hints is half a turn off, a shorter one is right."""
+    record = simulated(replace(SURFACE, duration=0.4), 1, seed=4)
+    hint, right = np.full(len(record.angle), np.nan), record.angle[:, 0]
+    hint[2000:3500] = right[2000:3500] + np.pi
+    with pytest.raises(NoEstimate):
+        grown(record, angle=hint)
+    hint[800:1300] = right[800:1300]
+    e, error = grown(record, angle=hint)
+    assert np.isfinite(error).mean() > 0.98
+    assert np.nanmax(np.abs(error)) < 1.5
+    assert e.conflict < 20
+
+
+def test_conflict_is_that_of_the_priors():
+    """d standard deviations count d²; those of the file less, beyond what one tolerates."""
+    record = simulated(replace(SURFACE, duration=0.3), 1, seed=2)
+    c, conflicts = SURFACE, []
+    for factor in (1.0, 2.0):
+        file = file_of(c.R, factor * c.L_d, factor * c.L_q, c.psi, 12.0, (0.3, 0.15, 0.15))
+        e = estimate(record.voltage[:, 0], record.current[:, 0], H, file, course(record, 0))
+        d = (e.value("L_d") - np.log(factor * c.L_d)) / 0.15
+        near, far = 0.95 * np.exp(-(d**2) / 2), 0.01 * np.exp(-((d / 5) ** 2) / 2)
+        conflicts.append(e.conflict + 2 * np.log((near + far) / 0.96))
+    assert 0 < conflicts[0] < 10
+    assert abs(conflicts[1] - conflicts[0]) < 1
+    assert far / near > 100
+
+
+def test_hints_that_are_not_sure_must_explain_other_rows():
+    """Voltages that were not applied on both sides of the hints: nothing else confirms them."""
+    record = simulated(replace(SURFACE, duration=0.4), 1, seed=4)
+    voltage, hint = record.voltage[:, 0].copy(), course(record, 0)
+    voltage[:1500] *= 0.5
+    voltage[2300:] *= 0.5
+    hint[:1500] = hint[2300:] = np.nan
+    _, error = grown(record, voltage, hint)
+    known = np.isfinite(error)
+    assert known[1600:2200].all()
+    assert not known[:1400].any()
+    assert not known[2400:].any()
+    with pytest.raises(NoEstimate):
+        grown(record, voltage, hint, sure=False)
+
+
+def test_a_gap_ends_a_part():
+    """The log lacks 200 rows, in which the rotor turns by several radians."""
+    record = simulated(replace(SURFACE, duration=0.4), 1, seed=4)
+    record.current[1900:2100], record.voltage[1900:2100] = np.nan, np.nan
+    hint = course(record, 0)
+    hint[1900:2100] = np.nan
+    e, error = grown(record, angle=hint)
+    known = np.isfinite(error)
+    assert not known[1915:2095].any()
+    assert known[:1895].all()
+    assert known[2105:].all()
+    assert np.nanmax(np.abs(error)) < 1.5
+    assert np.nanmean((error / np.degrees(e.rows["angle_std"])) ** 2) < 4
 
 
 def test_rows_whose_voltages_were_not_applied_have_no_angle():
