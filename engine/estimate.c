@@ -342,6 +342,15 @@ static void count_in(const fo_thinned *thin, bool back, double *lag, double *del
     *delay = back ? *delay * n : *delay / n;
 }
 
+static void scale_covariance(double factor, double *covariance)
+{
+    for (int n = 0; n < 2; n++)
+        for (int k = 0, at = n ? FO_L_delay : FO_L_lag; k < FO_UNKNOWNS; k++) {
+            covariance[at * FO_UNKNOWNS + k] *= factor;
+            covariance[k * FO_UNKNOWNS + at] *= factor;
+        }
+}
+
 static fo_prior thinned_prior(const fo_prior *prior, const fo_thinned *thin)
 {
     fo_prior own = *prior;
@@ -359,6 +368,7 @@ static void take_over(const learning *from, const fo_thinned *thin, learning *l)
     fo_posterior *out = l->posterior;
     *out = *from->posterior;
     count_in(thin, true, &out->parameters[FO_L_lag], &out->parameters[FO_L_delay]);
+    scale_covariance((double)thin->factor, out->covariance);
     fo_fill(course, from->log.rows, thin->factor, l->course, rows);
     for (size_t k = 0; k < rows; k++)
         l->course[k].unrest = course[k / FO_STRETCH * FO_STRETCH / thin->factor].unrest;
@@ -573,16 +583,19 @@ static fo_outcome learn_thinned(learning *l, size_t factor, fo_growth *g)
     fo_outcome outcome = FO_NO_MEMORY;
     fo_growth some = {.hints = malloc(2 * thin.log.rows * sizeof(double))};
     count_in(&thin, false, &p[FO_L_lag], &p[FO_L_delay]);
+    scale_covariance(1.0 / (double)factor, posterior.covariance);
     if (some.hints && open_learning(&thin.log, l->file, &prior, &posterior, &own)) {
         some.log = &own.log;
         some.machine = &own.machine;
         some.start = &own.start;
+        some.covariance = posterior.covariance;
         some.angles = some.hints + thin.log.rows;
         thin_parts(g, factor, &some);
         outcome = learn_parts(&own, &some) ? FO_ESTIMATED : FO_NO_ESTIMATE;
         if (outcome == FO_ESTIMATED) {
             fill_parts(&own, &some, factor, l, g);
             count_in(&thin, true, &p[FO_L_lag], &p[FO_L_delay]);
+            scale_covariance((double)factor, posterior.covariance);
             *out = posterior;
         }
         free_learning(&own);
@@ -722,6 +735,7 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
     fo_growth g = {.log = &l.log,
                    .machine = &l.machine,
                    .start = &l.start,
+                   .covariance = posterior->covariance,
                    .hints = malloc(record->rows * sizeof *g.hints),
                    .angles = malloc(record->rows * sizeof *g.angles)};
     fo_outcome outcome = g.hints && g.angles ? FO_ESTIMATED : FO_NO_MEMORY;

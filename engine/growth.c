@@ -137,7 +137,7 @@ static bool grow(const fo_growth *g, fo_part *part, bool back, const double *p)
     start.angle_std = angle_std;
     start.speed_std *= speed_share;
     const fo_problem problem = {&d.log, g->machine, &start, d.course};
-    const fo_follower follower = {given, d.hints};
+    const fo_follower follower = {given, d.hints, g->covariance};
     const size_t reached = fo_follow(&problem, own, &follower);
     for (size_t n = given + 1; n < reached; n++) g->angles[back ? row - n : row + n] = d.course[n].angle;
     if (reached > given + 1) {
@@ -180,7 +180,7 @@ void fo_cut_parts(fo_growth *g, fo_course *course, const double parameters[FO_UN
         for (size_t first = before[n].first; first < end;) {
             const fo_log log = fo_rows_of(g->log, first, end - first);
             const fo_problem problem = {&log, g->machine, g->start, course + first};
-            const fo_follower follower = {log.rows, g->hints + first};
+            const fo_follower follower = {log.rows, g->hints + first, g->covariance};
             const size_t fits = first + fo_follow(&problem, parameters, &follower);
             keep(g, first, fits);
             const size_t next = fits + APART < end ? fits + APART : end;

@@ -17,6 +17,7 @@ typedef struct {
     const fo_log *log;
     const fo_machine *machine;
     const fo_start *start;
+    const double *covariance; /* of the parameters, FO_UNKNOWNS² */
     double *hints; /* angles that others give, in any turn; NaN: none */
     double *angles;      /* of the parts, without jumps of a turn; NaN outside */
     fo_part parts[FO_MOST_PARTS]; /* in the order of their rows, once they are joined */

@@ -208,18 +208,57 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
         }
 }
 
+/* Derivatives of the innovation, of the state held. */
+static void innovation_by(const fo_prediction *p, const update *z, const fo_filter *f, double by[2][FO_SENSITIVE])
+{
+    for (int a = 0; a < 2; a++) {
+        double *e = by[a];
+        for (int j = 0; j < FO_SENSITIVE; j++) e[j] = -f->by[FO_NOISE + a][j];
+        for (int k = 0; k < FO_BY; k++) {
+            const double h = z->H[a][k].d[0], *x = f->by[fo_measured_states[k]];
+            for (int j = 0; j < FO_SENSITIVE; j++) e[j] -= h * x[j];
+        }
+        for (int j = 0; j < FO_T; j++) e[MODEL + j] += z->by_model[a][j];
+        for (int j = 0; j < FO_COLUMNS; j++) e[MEANS + j] -= p->measured_by[a][j];
+        for (int j = 0; j < 2 * FO_ORDERS; j++)
+            e[FO_L - FO_LEVELS + j] -= z->angle * (p->sensed[a][A] * p->angle_by[A][j] +
+                                                   p->sensed[a][B] * p->angle_by[B][j]);
+    }
+}
+
+/* Normalised square of an innovation whose covariance is `own`, and that of the parameters, which the filter considers
+ * but does not learn (Schmidt): C takes E C Eᵀ, with E = ∂e/∂p. */
+static double considered_square(const pass *q, const fo_prediction *p, const double own[2][2], const fo_filter *f,
+                                const update *z)
+{
+    const double *C = q->follower->covariance;
+    double by[2][FO_SENSITIVE], V[2][2] = {{own[0][0], own[0][1]}, {own[1][0], own[1][1]}};
+    innovation_by(p, z, f, by);
+    for (int r = 0; r < FO_SENSITIVE; r++) {
+        const double *row = C + (r + FO_LEVELS) * FO_UNKNOWNS + FO_LEVELS;
+        double sum[2] = {0.0, 0.0};
+        for (int c = 0; c < FO_SENSITIVE; c++)
+            for (int a = 0; a < 2; a++) sum[a] += row[c] * by[a][c];
+        for (int a = 0; a < 2; a++)
+            for (int b = 0; b < 2; b++) V[a][b] += by[a][r] * sum[b];
+    }
+    const double x = z->e[0], y = z->e[1], det = V[0][0] * V[1][1] - V[0][1] * V[1][0];
+    return 0.5 * (V[1][1] * x * x - (V[0][1] + V[1][0]) * x * y + V[0][0] * y * y) / det;
+}
+
 /* A filter that makes its own course would follow an outlier. A normalised square of which 300 of a million rows
  * have a larger one is doubted, as that of Student's distribution with four degrees of freedom; but no more than so
  * many rows that follow each other, nor the first ones, or the filter would believe itself only. Assumed. */
 static const double outlying = 8.0, freedom = 2.0;
 enum { OUTLIERS = 3, SETTLING = 40 };
 
-static void doubt_outlier(fo_filter *f, update *z)
+static void doubt_outlier(const pass *q, const fo_prediction *p, const double own[2][2], fo_filter *f, update *z)
 {
-    f->square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
-    f->doubted = f->square > outlying ? f->doubted + 1 : 0;
+    const double square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
+    f->square = considered_square(q, p, own, f, z);
+    f->doubted = square > outlying ? f->doubted + 1 : 0;
     if (f->row <= SETTLING || f->doubted == 0 || f->doubted > OUTLIERS) return;
-    const double weight = (1.0 + freedom) / (f->square + freedom);
+    const double weight = (1.0 + freedom) / (square + freedom);
     for (int a = 0; a < 2; a++) {
         z->w[a] *= weight;
         for (int b = 0; b < 2; b++) z->V[a][b] *= weight;
@@ -268,7 +307,7 @@ static bool measure(const pass *q, const double measured[2], double rounding,
     z->V[0][1] = z->V[1][0] = -own[0][1] / z->det;
     z->V[1][1] = own[0][0] / z->det;
     for (int a = 0; a < 2; a++) z->w[a] = z->V[a][0] * z->e[0] + z->V[a][1] * z->e[1];
-    if (q->follower) doubt_outlier(f, z);
+    if (q->follower) doubt_outlier(q, p, own, f, z);
     for (int r = 0; r < S; r++) {
         for (int a = 0; a < 2; a++) z->K[r][a] = PH[r][0] * z->V[0][a] + PH[r][1] * z->V[1][a];
         f->x[r] += PH[r][0] * z->w[0] + PH[r][1] * z->w[1];
@@ -284,19 +323,7 @@ static bool measure(const pass *q, const double measured[2], double rounding,
 static void measure_sensitivity(const fo_prediction *p, const update *z, fo_filter *f,
                                 double by[2][FO_SENSITIVE])
 {
-    for (int a = 0; a < 2; a++) {
-        double *e = by[a];
-        for (int j = 0; j < FO_SENSITIVE; j++) e[j] = -f->by[FO_NOISE + a][j];
-        for (int k = 0; k < FO_BY; k++) {
-            const double h = z->H[a][k].d[0], *x = f->by[fo_measured_states[k]];
-            for (int j = 0; j < FO_SENSITIVE; j++) e[j] -= h * x[j];
-        }
-        for (int j = 0; j < FO_T; j++) e[MODEL + j] += z->by_model[a][j];
-        for (int j = 0; j < FO_COLUMNS; j++) e[MEANS + j] -= p->measured_by[a][j];
-        for (int j = 0; j < 2 * FO_ORDERS; j++)
-            e[FO_L - FO_LEVELS + j] -= z->angle * (p->sensed[a][A] * p->angle_by[A][j] +
-                                                   p->sensed[a][B] * p->angle_by[B][j]);
-    }
+    innovation_by(p, z, f, by);
     for (int r = 0; r < S; r++) {
         const double k = z->K[r][0], n = z->K[r][1];
         for (int j = 0; j < FO_SENSITIVE; j++) f->by[r][j] += k * by[0][j] + n * by[1][j];
@@ -988,6 +1015,7 @@ size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
               .course = problem->course,
               .m = &m,
               .elements = fo_elements_of(&m),
+              .sensitive = true,
               .follower = follower,
               .followed = problem->course,
               .load_step = pow(quicker * problem->start->acceleration_std, 2.0)};

@@ -140,11 +140,12 @@ typedef enum {
 bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], fo_detail detail,
                     fo_likelihood *out, fo_filter *checkpoints);
 
-/* A course that follows the filter: rows whose course is given, and hints at the angle of the others, NaN
- * where there are none. */
+/* A course that follows the filter: rows whose course is given, hints at the angle of the others, NaN where there are
+ * none, and the covariance of the parameters. */
 typedef struct {
     size_t given;
     const double *hints;
+    const double *covariance;
 } fo_follower;
 
 /* Writes the course that the filter itself predicts, behind the rows that are given. Returns how many rows fit;
