@@ -305,7 +305,9 @@ static bool try_range(learning *l, const fo_growth *g)
 }
 
 /* Evaluations of the whole log, once its thinned one is learnt, at most. */
-enum { LAST = 10 };
+enum { LAST = 5 };
+/* ln of the mean square from which on they go on: the levels are not right yet. */
+static const double fitted = 0.1;
 
 /* Voltages that act earlier than this [samples]: they may be those of the next row. */
 static const double early = -0.02;
@@ -407,7 +409,7 @@ static fo_outcome learn_levels(learning *l, size_t factor, const double *angle, 
         }
         free(some);
     }
-    if (outcome == FO_ESTIMATED && !fo_learn(&l->work, &l->prior, fine, MOST, l->posterior))
+    if (outcome == FO_ESTIMATED && factor == 1 && !fo_learn(&l->work, &l->prior, fine, MOST, l->posterior))
         outcome = FO_NO_ESTIMATE;
     return outcome;
 }
@@ -504,7 +506,7 @@ static void set_parts(learning *l, fo_growth *g, const double *parameters)
             for (size_t k = part.first; k < part.first + part.rows; k++) g->angles[k] = (double)NAN;
     }
     g->count = count;
-    fo_cut_parts(g, l->course, rough);
+    fo_cut_parts(g, l->course, rough, true);
     w->parts = g->parts;
     w->count = g->count;
 }
@@ -626,10 +628,13 @@ static fo_outcome finish(learning *l, fo_growth *g)
             fo_set_course(&own, g->angles + k, p);
         }
     }
-    fo_cut_parts(g, l->course, rough);
+    fo_cut_parts(g, l->course, rough, false);
     l->work.parts = g->parts;
     l->work.count = g->count;
-    return fo_learn(&l->work, &l->prior, fine, LAST, l->posterior) ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    bool learnt = fo_learn(&l->work, &l->prior, fine, LAST, l->posterior);
+    if (learnt && fabs(log(l->posterior->mean_square)) > fitted)
+        learnt = fo_learn(&l->work, &l->prior, fine, LAST, l->posterior);
+    return learnt ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }
 
 /* Times that parts grow at parameters that they gave, at most, and the growth after which they do so again. */

@@ -169,7 +169,8 @@ static void keep(fo_growth *g, size_t first, size_t end)
     }
 }
 
-void fo_cut_parts(fo_growth *g, fo_course *course, const double parameters[FO_UNKNOWNS])
+void fo_cut_parts(fo_growth *g, fo_course *course, const double parameters[FO_UNKNOWNS],
+                  bool witnesses)
 {
     fo_part before[FO_MOST_PARTS];
     const size_t count = g->count;
@@ -180,7 +181,7 @@ void fo_cut_parts(fo_growth *g, fo_course *course, const double parameters[FO_UN
         for (size_t first = before[n].first; first < end;) {
             const fo_log log = fo_rows_of(g->log, first, end - first);
             const fo_problem problem = {&log, g->machine, g->start, course + first};
-            const fo_follower follower = {log.rows, g->hints + first, g->covariance};
+            const fo_follower follower = {log.rows, witnesses ? g->hints + first : NULL, g->covariance};
             const size_t fits = first + fo_follow(&problem, parameters, &follower);
             keep(g, first, fits);
             const size_t next = fits + APART < end ? fits + APART : end;

@@ -33,8 +33,8 @@ bool fo_begin_part(fo_growth *growth, size_t longest);
 bool fo_grow_part(const fo_growth *growth, fo_part *part, const double parameters[FO_UNKNOWNS]);
 
 /* Cuts out of a part what does not fit about its course, which has an element for each row of the log; what is left
- * may be several parts, or none. */
-void fo_cut_parts(fo_growth *growth, fo_course *course, const double parameters[FO_UNKNOWNS]);
+ * may be several parts, or none. `witnesses`: a row whose angle a hint confirms fits better. */
+void fo_cut_parts(fo_growth *growth, fo_course *course, const double parameters[FO_UNKNOWNS], bool witnesses);
 
 /* Joins parts that touch each other and agree. Of two that do not agree, one is wrong: that with the seed stays, or
  * the longer one. */

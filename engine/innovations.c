@@ -1003,7 +1003,7 @@ enum { GAP = 10 };
 
 static bool has_witness(const fo_follower *follower, size_t row, double angle)
 {
-    const double hint = follower->hints[row];
+    const double hint = follower->hints ? follower->hints[row] : (double)NAN;
     return isfinite(hint) && fabs(remainder(hint - angle, FO_TURN)) < contradicts;
 }
 
