@@ -337,9 +337,10 @@ static void try_early(learning *l)
 }
 
 /* What is in samples, in those of a thinned log, or back. */
-static void count_in(const fo_thinned *thin, bool back, double *lag, double *delay)
+static void count_in(const fo_thinned *thin, bool back, double *parameters)
 {
     const double n = (double)thin->factor, shift = (double)thin->shift;
+    double *lag = parameters + FO_L_lag, *delay = parameters + FO_L_delay;
     *lag = back ? *lag * n + shift : (*lag - shift) / n;
     *delay = back ? *delay * n : *delay / n;
 }
@@ -353,65 +354,41 @@ static void scale_covariance(double factor, double *covariance)
         }
 }
 
-static fo_prior thinned_prior(const fo_prior *prior, const fo_thinned *thin)
+/* Learning on a thinned log. */
+typedef struct {
+    fo_thinned thin;
+    fo_posterior posterior;
+    learning own;
+} thinned;
+
+/* From the posterior of the log. False: no memory; then nothing is left to close. */
+static bool open_thinned(const learning *l, const fo_log *log, size_t factor, thinned *t)
 {
-    fo_prior own = *prior;
-    count_in(thin, false, &own.mean[FO_L_lag], &own.mean[FO_L_delay]);
-    own.std[FO_L_lag] /= (double)thin->factor;
-    own.std[FO_L_delay] /= (double)thin->factor;
-    return own;
+    fo_prior prior = l->prior;
+    const double n = (double)factor;
+    if (!fo_thin(log, factor, prior.mean[FO_L_lag], &t->thin)) return false;
+    count_in(&t->thin, false, prior.mean);
+    prior.std[FO_L_lag] /= n;
+    prior.std[FO_L_delay] /= n;
+    t->posterior = *l->posterior;
+    count_in(&t->thin, false, t->posterior.parameters);
+    scale_covariance(1.0 / n, t->posterior.covariance);
+    if (open_learning(&t->thin.log, l->file, &prior, &t->posterior, &t->own)) return true;
+    fo_free_thinned(&t->thin);
+    return false;
 }
 
-/* Course and parameters of a thinned log for that of which it is made. */
-static void take_over(const learning *from, const fo_thinned *thin, learning *l)
+static void take_posterior(const thinned *t, fo_posterior *out)
 {
-    const fo_course *course = from->work.problem.course;
-    const size_t rows = l->log.rows;
-    fo_posterior *out = l->posterior;
-    *out = *from->posterior;
-    count_in(thin, true, &out->parameters[FO_L_lag], &out->parameters[FO_L_delay]);
-    scale_covariance((double)thin->factor, out->covariance);
-    fo_fill(course, from->log.rows, thin->factor, l->course, rows);
-    for (size_t k = 0; k < rows; k++)
-        l->course[k].unrest = course[k / FO_STRETCH * FO_STRETCH / thin->factor].unrest;
-    l->work.parts = &l->whole;
-    l->work.count = 1;
+    *out = t->posterior;
+    count_in(&t->thin, true, out->parameters);
+    scale_covariance((double)t->thin.factor, out->covariance);
 }
 
-/* From one level to the next, the log is thinned so many times more. */
-enum { RATIO = 4 };
-
-/* Learns from a course, first on the log thinned by `factor`, a power of two, then on all of it. */
-static fo_outcome learn_levels(learning *l, size_t factor, const double *angle, const double *parameters)
+static void close_thinned(thinned *t)
 {
-    fo_outcome outcome = FO_ESTIMATED;
-    if (factor == 1) {
-        begin_learning(l, angle, parameters);
-    } else {
-        const size_t ratio = factor < RATIO ? factor : RATIO;
-        const size_t rows = l->log.rows, count = (rows + ratio - 1) / ratio;
-        double begin[FO_UNKNOWNS], *some = malloc(count * sizeof *some);
-        fo_thinned thin;
-        fo_posterior posterior;
-        learning own;
-        outcome = FO_NO_MEMORY;
-        if (fo_thin(&l->log, ratio, l->prior.mean[FO_L_lag], &thin)) {
-            const fo_prior prior = thinned_prior(&l->prior, &thin);
-            for (int k = 0; k < FO_UNKNOWNS; k++) begin[k] = parameters ? parameters[k] : (double)NAN;
-            count_in(&thin, false, &begin[FO_L_lag], &begin[FO_L_delay]);
-            if (some && open_learning(&thin.log, l->file, &prior, &posterior, &own)) {
-                for (size_t k = 0; k < count; k++) some[k] = angle[k * ratio];
-                outcome = learn_levels(&own, factor / ratio, some, begin);
-                if (outcome == FO_ESTIMATED) take_over(&own, &thin, l);
-                free_learning(&own);
-            }
-            fo_free_thinned(&thin);
-        }
-        free(some);
-    }
-    if (outcome == FO_ESTIMATED && factor == 1 && !fo_learn(&l->work, &l->prior, fine, MOST, l->posterior))
-        outcome = FO_NO_ESTIMATE;
-    return outcome;
+    free_learning(&t->own);
+    fo_free_thinned(&t->thin);
 }
 
 /* Time constant of the current, its inverse [1/s]. */
@@ -424,20 +401,32 @@ static double decay_of(const fo_file *file)
 /* The parameters are learnt first on a part with so many rows at most. */
 enum { SEED = 4096 };
 
-/* Learns on a part of the log; its angles become the smoothed ones. */
+/* Learns on a part of the log, which is thinned; its angles become the smoothed ones. */
 static fo_outcome learn_seed(const learning *l, const fo_part *part, const double *parameters, double *angles)
 {
     fo_log log = fo_rows_of(&l->log, part->first, part->rows);
     log.first = log.whole = 0; /* its heat begins with the part */
-    double *own = angles + part->first;
-    learning seed;
-    if (!open_learning(&log, l->file, &l->prior, l->posterior, &seed)) return FO_NO_MEMORY;
+    double begin[FO_UNKNOWNS], *own = angles + part->first;
     const size_t factor = fo_thinning(&log, own, decay_of(l->file));
-    const fo_outcome outcome = learn_levels(&seed, factor, own, parameters);
-    if (outcome == FO_ESTIMATED)
-        for (size_t k = 0; k < part->rows; k++) own[k] = seed.work.problem.course[k].angle;
-    free_learning(&seed);
-    return outcome;
+    thinned *t = malloc(sizeof *t);
+    if (!t || !open_thinned(l, &log, factor, t)) {
+        free(t);
+        return FO_NO_MEMORY;
+    }
+    const size_t rows = t->thin.log.rows;
+    for (size_t k = 0; k < rows; k++) l->spare[k] = own[k * factor];
+    for (int k = 0; k < FO_UNKNOWNS; k++) begin[k] = parameters ? parameters[k] : (double)NAN;
+    count_in(&t->thin, false, begin);
+    begin_learning(&t->own, l->spare, begin);
+    const bool learnt = fo_learn(&t->own.work, &t->own.prior, fine, MOST, &t->posterior);
+    if (learnt) {
+        take_posterior(t, l->posterior);
+        fo_fill(t->own.work.problem.course, rows, factor, l->other, part->rows);
+        for (size_t k = 0; k < part->rows; k++) own[k] = l->other[k].angle;
+    }
+    close_thinned(t);
+    free(t);
+    return learnt ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }
 
 /* ln: levels of a growing part are no smaller than an ordinary drive's by this much, for the log may be less calm
@@ -576,34 +565,30 @@ static void fill_parts(const learning *from, const fo_growth *thin, size_t facto
 /* Learns on the parts of the thinned log. */
 static fo_outcome learn_thinned(learning *l, size_t factor, fo_growth *g)
 {
-    fo_thinned thin;
-    if (!fo_thin(&l->log, factor, l->prior.mean[FO_L_lag], &thin)) return FO_NO_MEMORY;
-    const fo_prior prior = thinned_prior(&l->prior, &thin);
-    fo_posterior *out = l->posterior, posterior = *out;
-    double *p = posterior.parameters;
-    learning own;
-    fo_outcome outcome = FO_NO_MEMORY;
-    fo_growth some = {.hints = malloc(2 * thin.log.rows * sizeof(double))};
-    count_in(&thin, false, &p[FO_L_lag], &p[FO_L_delay]);
-    scale_covariance(1.0 / (double)factor, posterior.covariance);
-    if (some.hints && open_learning(&thin.log, l->file, &prior, &posterior, &own)) {
-        some.log = &own.log;
-        some.machine = &own.machine;
-        some.start = &own.start;
-        some.covariance = posterior.covariance;
-        some.angles = some.hints + thin.log.rows;
-        thin_parts(g, factor, &some);
-        outcome = learn_parts(&own, &some) ? FO_ESTIMATED : FO_NO_ESTIMATE;
-        if (outcome == FO_ESTIMATED) {
-            fill_parts(&own, &some, factor, l, g);
-            count_in(&thin, true, &p[FO_L_lag], &p[FO_L_delay]);
-            scale_covariance((double)factor, posterior.covariance);
-            *out = posterior;
-        }
-        free_learning(&own);
+    thinned *t = malloc(sizeof *t);
+    if (!t || !open_thinned(l, &l->log, factor, t)) {
+        free(t);
+        return FO_NO_MEMORY;
     }
-    free(some.hints);
-    fo_free_thinned(&thin);
+    const size_t rows = t->thin.log.rows;
+    fo_growth own = {.log = &t->own.log,
+                     .machine = &t->own.machine,
+                     .start = &t->own.start,
+                     .covariance = t->posterior.covariance,
+                     .hints = malloc(2 * rows * sizeof *own.hints)};
+    fo_outcome outcome = FO_NO_MEMORY;
+    if (own.hints) {
+        own.angles = own.hints + rows;
+        thin_parts(g, factor, &own);
+        outcome = learn_parts(&t->own, &own) ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    }
+    if (outcome == FO_ESTIMATED) {
+        fill_parts(&t->own, &own, factor, l, g);
+        take_posterior(t, l->posterior);
+    }
+    free(own.hints);
+    close_thinned(t);
+    free(t);
     return outcome;
 }
 
@@ -736,6 +721,7 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
 {
     const fo_prior prior = fo_ordinary_prior(record, file);
     learning l;
+    memset(posterior, 0, sizeof *posterior);
     if (!open_learning(record, file, &prior, posterior, &l)) return FO_NO_MEMORY;
     fo_growth g = {.log = &l.log,
                    .machine = &l.machine,

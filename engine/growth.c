@@ -119,6 +119,15 @@ static void give_course(const fo_growth *g, size_t row, size_t given, bool back,
     }
 }
 
+static fo_start known_start(const fo_growth *g)
+{
+    fo_start start = *g->start;
+    start.flux_std *= flux_share;
+    start.angle_std = angle_std;
+    start.speed_std *= speed_share;
+    return start;
+}
+
 static bool grow(const fo_growth *g, fo_part *part, bool back, const double *p)
 {
     const size_t beside = room(g, part, back), given = part->rows - 1 < INSIDE ? part->rows - 1 : INSIDE;
@@ -132,10 +141,7 @@ static bool grow(const fo_growth *g, fo_part *part, bool back, const double *p)
     memcpy(own, p, sizeof own);
     own[FO_L_lag] = own[FO_L_delay] = own[FO_L_heat] = 0.0;
     own[FO_L_resistance] += log1p(p[FO_L_heat] * (double)row / (double)g->log->rows);
-    fo_start start = *g->start;
-    start.flux_std *= flux_share;
-    start.angle_std = angle_std;
-    start.speed_std *= speed_share;
+    const fo_start start = known_start(g);
     const fo_problem problem = {&d.log, g->machine, &start, d.course};
     const fo_follower follower = {given, d.hints, g->covariance};
     const size_t reached = fo_follow(&problem, own, &follower);
@@ -174,13 +180,14 @@ void fo_cut_parts(fo_growth *g, fo_course *course, const double parameters[FO_UN
 {
     fo_part before[FO_MOST_PARTS];
     const size_t count = g->count;
+    const fo_start start = known_start(g);
     memcpy(before, g->parts, sizeof before);
     g->count = 0;
     for (size_t n = 0; n < count; n++) {
         const size_t end = before[n].first + before[n].rows;
         for (size_t first = before[n].first; first < end;) {
             const fo_log log = fo_rows_of(g->log, first, end - first);
-            const fo_problem problem = {&log, g->machine, g->start, course + first};
+            const fo_problem problem = {&log, g->machine, &start, course + first};
             const fo_follower follower = {log.rows, witnesses ? g->hints + first : NULL, g->covariance};
             const size_t fits = first + fo_follow(&problem, parameters, &follower);
             keep(g, first, fits);

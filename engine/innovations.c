@@ -257,7 +257,7 @@ static void doubt_outlier(const pass *q, const fo_prediction *p, const double ow
     const double square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
     f->square = considered_square(q, p, own, f, z);
     f->doubted = square > outlying ? f->doubted + 1 : 0;
-    if (f->row <= SETTLING || f->doubted == 0 || f->doubted > OUTLIERS) return;
+    if (f->doubted == 0 || f->doubted > OUTLIERS) return;
     const double weight = (1.0 + freedom) / (square + freedom);
     for (int a = 0; a < 2; a++) {
         z->w[a] *= weight;
