@@ -228,7 +228,7 @@ static void innovation_by(const fo_prediction *p, const update *z, const fo_filt
 
 /* Normalised square of an innovation whose covariance is `own`, and that of the parameters, which the filter considers
  * but does not learn (Schmidt): C takes E C Eᵀ, with E = ∂e/∂p. */
-static double considered_square(const pass *q, const fo_prediction *p, const double own[2][2], const fo_filter *f,
+static double considered_square(const pass *q, const fo_prediction *p, double own[2][2], const fo_filter *f,
                                 const update *z)
 {
     const double *C = q->follower->covariance;
@@ -252,7 +252,7 @@ static double considered_square(const pass *q, const fo_prediction *p, const dou
 static const double outlying = 8.0, freedom = 2.0;
 enum { OUTLIERS = 3, SETTLING = 40 };
 
-static void doubt_outlier(const pass *q, const fo_prediction *p, const double own[2][2], fo_filter *f, update *z)
+static void doubt_outlier(const pass *q, const fo_prediction *p, double own[2][2], fo_filter *f, update *z)
 {
     const double square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
     f->square = considered_square(q, p, own, f, z);
