@@ -626,6 +626,8 @@ static fo_outcome finish(learning *l, fo_growth *g)
 enum { ROUNDS = 4 };
 /* The parts are learnt on every fourth row at most: more coarsely, where they end would be. */
 enum { COARSEST = 4 };
+/* Rows of the parts of a thinned log, at least. */
+enum { FEWEST = 1500 };
 static const double grown = 1.02;
 
 /* Prior–data conflict of a course that is not believed, and runs of hints that are tried, at most. */
@@ -656,12 +658,19 @@ static fo_outcome learn_seeds(const learning *l, const double *parameters, bool 
     return FO_NO_ESTIMATE;
 }
 
-/* Parameters that hints gave which are not sure must explain other rows too: so many times those of the seed, or
- * this share of the log. Assumed. */
-static const double proof = 2.0, nearly_all = 0.9;
+/* Parameters must explain this share of the rows with hints. If these are not sure, they must explain other rows: so
+ * many times those of the seed, or this share of the log. Assumed. */
+static const double most_hints = 0.33, proof = 2.0, nearly_all = 0.9;
+
+static bool is_proven(const fo_growth *g, bool sure, double hinted, double seed)
+{
+    const double known = rows_of(g);
+    if (sure) return known > most_hints * hinted;
+    return known > proof * seed || known > nearly_all * (double)g->log->rows;
+}
 
 /* Grows the parts and learns on them, until they grow no more or what they give is no machine. */
-static fo_outcome learn_grown(learning *l, bool sure, fo_growth *g)
+static fo_outcome learn_grown(learning *l, bool sure, double hinted, fo_growth *g)
 {
     const size_t rows = l->log.rows;
     const double own = rows_of(g);
@@ -677,10 +686,11 @@ static fo_outcome learn_grown(learning *l, bool sure, fo_growth *g)
         memcpy(l->spare, g->angles, rows * sizeof *l->spare);
         factor = fo_thinning(&l->log, g->angles, decay_of(l->file));
         if (factor > COARSEST) factor = COARSEST;
-        for (;; factor /= 4) {
+        while (factor > 1 && rows_of(g) < (double)(factor * FEWEST)) factor /= 2;
+        for (;; factor /= factor < 4 ? factor : 4) {
             const fo_outcome outcome = learn_thinned(l, factor, g);
             if (outcome != FO_ESTIMATED) return outcome;
-            if (factor < 4 || conflict_of(l) < conflicting) break;
+            if (factor == 1 || conflict_of(l) < conflicting) break;
             *g = all;
             *l->posterior = before;
             memcpy(g->angles, l->spare, rows * sizeof *l->spare);
@@ -697,15 +707,16 @@ static fo_outcome learn_grown(learning *l, bool sure, fo_growth *g)
     const fo_outcome outcome = finish(l, g);
     if (outcome != FO_ESTIMATED) return outcome;
     if (conflict_of(l) >= conflicting) return FO_NO_ESTIMATE;
-    const double known = rows_of(g);
-    return sure || known > proof * own || known > nearly_all * (double)rows ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    return is_proven(g, sure, hinted, own) ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }
 
 /* The parts of the log that one set of parameters explains, and those. */
 static fo_outcome learn_log(learning *l, const double *parameters, bool sure, fo_growth *g)
 {
+    double hinted = 0.0;
+    for (size_t k = 0; k < l->log.rows; k++) hinted += isfinite(g->hints[k]) ? 1.0 : 0.0;
     const fo_outcome outcome = learn_seeds(l, parameters, sure, g);
-    return outcome == FO_ESTIMATED ? learn_grown(l, sure, g) : outcome;
+    return outcome == FO_ESTIMATED ? learn_grown(l, sure, hinted, g) : outcome;
 }
 
 static bool smooth(learning *l, fo_smoothed *rows)
