@@ -639,8 +639,8 @@ static double conflict_of(const learning *l)
     return fo_conflict_of(&l->prior, l->posterior);
 }
 
-/* Learns on the longest run of hints that gives parameters which a machine may have. Hints that do not are forgotten,
- * then all that are not sure. */
+/* Learns on the longest run of hints that gives parameters which a machine may have. Other runs that were tried are
+ * forgotten, and all hints if they are not sure. */
 static fo_outcome learn_seeds(const learning *l, const double *parameters, bool sure, fo_growth *g)
 {
     for (int n = 0; n < SEEDS && fo_begin_part(g, SEED); n++) {
@@ -669,32 +669,38 @@ static bool is_proven(const fo_growth *g, bool sure, double hinted, double seed)
     return known > proof * seed || known > nearly_all * (double)g->log->rows;
 }
 
+/* Learns on the parts of the thinned log; if that gives a conflict, on more of its rows. */
+static fo_outcome learn_coarsely(learning *l, fo_growth *g)
+{
+    const fo_growth all = *g;
+    const fo_posterior before = *l->posterior;
+    const size_t size = l->log.rows * sizeof *g->angles;
+    size_t factor = fo_thinning(&l->log, g->angles, decay_of(l->file));
+    if (factor > COARSEST) factor = COARSEST;
+    while (factor > 1 && rows_of(g) < (double)(factor * FEWEST)) factor /= 2;
+    memcpy(l->spare, g->angles, size);
+    for (;; factor = 1) {
+        const fo_outcome outcome = learn_thinned(l, factor, g);
+        if (outcome != FO_ESTIMATED || factor == 1 || conflict_of(l) < conflicting) return outcome;
+        *g = all;
+        *l->posterior = before;
+        memcpy(g->angles, l->spare, size);
+    }
+}
+
 /* Grows the parts and learns on them, until they grow no more or what they give is no machine. */
 static fo_outcome learn_grown(learning *l, bool sure, double hinted, fo_growth *g)
 {
-    const size_t rows = l->log.rows;
     const double own = rows_of(g);
-    size_t factor = 1;
     bool again = true;
     for (int n = 0; n < ROUNDS; n++) {
         const fo_growth learnt = *g;
         const fo_posterior before = *l->posterior;
         if (!grow_parts(l, g)) return FO_NO_MEMORY;
         if (!again && !(rows_of(g) > grown * rows_of(&learnt))) break;
-        memcpy(l->other, l->course, rows * sizeof *l->course);
-        const fo_growth all = *g;
-        memcpy(l->spare, g->angles, rows * sizeof *l->spare);
-        factor = fo_thinning(&l->log, g->angles, decay_of(l->file));
-        if (factor > COARSEST) factor = COARSEST;
-        while (factor > 1 && rows_of(g) < (double)(factor * FEWEST)) factor /= 2;
-        for (;; factor /= factor < 4 ? factor : 4) {
-            const fo_outcome outcome = learn_thinned(l, factor, g);
-            if (outcome != FO_ESTIMATED) return outcome;
-            if (factor == 1 || conflict_of(l) < conflicting) break;
-            *g = all;
-            *l->posterior = before;
-            memcpy(g->angles, l->spare, rows * sizeof *l->spare);
-        }
+        memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
+        const fo_outcome outcome = learn_coarsely(l, g);
+        if (outcome != FO_ESTIMATED) return outcome;
         if (conflict_of(l) >= conflicting) {
             if (n == 0) return FO_NO_ESTIMATE;
             *g = learnt;

@@ -10,7 +10,7 @@ extern "C" {
 
 typedef enum {
     FO_ESTIMATED,
-    FO_NO_ESTIMATE, /* the likelihood cannot be evaluated: the log contradicts the start */
+    FO_NO_ESTIMATE, /* no parameters that a machine may have explain enough of the log */
     FO_NO_MEMORY
 } fo_outcome;
 

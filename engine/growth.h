@@ -18,8 +18,8 @@ typedef struct {
     const fo_machine *machine;
     const fo_start *start;
     const double *covariance; /* of the parameters, FO_UNKNOWNS² */
-    double *hints; /* angles that others give, in any turn; NaN: none */
-    double *angles;      /* of the parts, without jumps of a turn; NaN outside */
+    double *hints;  /* angles that others give, in any turn; NaN: none */
+    double *angles; /* of the parts, without jumps of a turn; NaN outside */
     fo_part parts[FO_MOST_PARTS]; /* in the order of their rows, once they are joined */
     size_t count;
     size_t seed; /* a row of the part that is believed most */
