@@ -308,6 +308,8 @@ static bool try_range(learning *l, const fo_growth *g)
 enum { LAST = 5 };
 /* ln of the mean square from which on they go on: the levels are not right yet. */
 static const double fitted = 0.1;
+/* Mean square from which on the innovations contradict their covariance. Assumed. */
+static const double contradicted = 2.0;
 
 /* Voltages that act earlier than this [samples]: they may be those of the next row. */
 static const double early = -0.02;
@@ -619,7 +621,7 @@ static fo_outcome finish(learning *l, fo_growth *g)
     bool learnt = fo_learn(&l->work, &l->prior, fine, LAST, l->posterior);
     if (learnt && fabs(log(l->posterior->mean_square)) > fitted)
         learnt = fo_learn(&l->work, &l->prior, fine, LAST, l->posterior);
-    return learnt ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    return learnt && l->posterior->mean_square < contradicted ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }
 
 /* Times that parts grow at parameters that they gave, at most, and the growth after which they do so again. */
