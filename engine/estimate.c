@@ -304,9 +304,9 @@ static bool try_range(learning *l, const fo_growth *g)
     return true;
 }
 
-/* Evaluations of the whole log, once its thinned one is learnt, at most. */
+/* Evaluations of all rows after those of the thinned log, at most. They are made once more while the mean square is
+ * not one within this (ln), for then the levels are not right yet. */
 enum { LAST = 5 };
-/* ln of the mean square from which on they go on: the levels are not right yet. */
 static const double fitted = 0.1;
 /* Mean square from which on the innovations contradict their covariance. Assumed. */
 static const double contradicted = 2.0;
@@ -363,7 +363,7 @@ typedef struct {
     learning own;
 } thinned;
 
-/* From the posterior of the log. False: no memory; then nothing is left to close. */
+/* Starts from the posterior of the log. False: no memory; nothing must be closed then. */
 static bool open_thinned(const learning *l, const fo_log *log, size_t factor, thinned *t)
 {
     fo_prior prior = l->prior;

@@ -226,14 +226,11 @@ static void innovation_by(const fo_prediction *p, const update *z, const fo_filt
     }
 }
 
-/* Normalised square of an innovation whose covariance is `own`, and that of the parameters, which the filter considers
- * but does not learn (Schmidt): C takes E C Eᵀ, with E = ∂e/∂p. */
-static double considered_square(const pass *q, const fo_prediction *p, double own[2][2], const fo_filter *f,
-                                const update *z)
+/* Normalised square of an innovation. The filter considers the covariance C of its parameters, but does not learn them
+ * (Schmidt): the covariance is not `own` but `own` + E C Eᵀ, with E = ∂e/∂p in `by`. */
+static double considered_square(const double *C, double own[2][2], double by[2][FO_SENSITIVE], const update *z)
 {
-    const double *C = q->follower->covariance;
-    double by[2][FO_SENSITIVE], V[2][2] = {{own[0][0], own[0][1]}, {own[1][0], own[1][1]}};
-    innovation_by(p, z, f, by);
+    double V[2][2] = {{own[0][0], own[0][1]}, {own[1][0], own[1][1]}};
     for (int r = 0; r < FO_SENSITIVE; r++) {
         const double *row = C + (r + FO_LEVELS) * FO_UNKNOWNS + FO_LEVELS;
         double sum[2] = {0.0, 0.0};
@@ -248,14 +245,13 @@ static double considered_square(const pass *q, const fo_prediction *p, double ow
 
 /* A filter that makes its own course would follow an outlier. A normalised square of which 300 of a million rows
  * have a larger one is doubted, as that of Student's distribution with four degrees of freedom; but no more than so
- * many rows that follow each other, nor the first ones, or the filter would believe itself only. Assumed. */
+ * many rows that follow each other, or the filter would believe itself only. Assumed. */
 static const double outlying = 8.0, freedom = 2.0;
-enum { OUTLIERS = 3, SETTLING = 40 };
+enum { OUTLIERS = 3 };
 
-static void doubt_outlier(const pass *q, const fo_prediction *p, double own[2][2], fo_filter *f, update *z)
+static void doubt_outlier(fo_filter *f, update *z)
 {
     const double square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
-    f->square = considered_square(q, p, own, f, z);
     f->doubted = square > outlying ? f->doubted + 1 : 0;
     if (f->doubted == 0 || f->doubted > OUTLIERS) return;
     const double weight = (1.0 + freedom) / (square + freedom);
@@ -265,8 +261,8 @@ static void doubt_outlier(const pass *q, const fo_prediction *p, double own[2][2
     }
 }
 
-/* More such rows are those of a load step: then the filter does not know the acceleration, but no more than once in
- * so many rows (manoeuvre detection). The step accelerates to the usual speed in 10 ms. Assumed. */
+/* More such rows are those of a load step: then the filter no longer knows the acceleration, but not more often than
+ * once in so many rows (manoeuvre detection). The step accelerates to the usual speed in 10 ms. Assumed. */
 enum { CALM = 40 };
 static const double quicker = 10.0;
 
@@ -277,9 +273,9 @@ static void expect_load_step(const pass *q, fo_filter *f)
     f->calm = f->row + CALM;
 }
 
-/* Measurement update of state and covariance. */
-static bool measure(const pass *q, const double measured[2], double rounding,
-                    const fo_prediction *p, fo_filter *f, bool counted, update *z)
+/* Measurement update of state and covariance; `by`: derivatives of the innovation, if they are wanted. */
+static bool measure(const pass *q, const double measured[2], double rounding, const fo_prediction *p,
+                    fo_filter *f, bool counted, update *z, double by[2][FO_SENSITIVE])
 {
     const fo_model *m = q->m;
     double d[FO_BY], H[2][FO_BY], PH[S][2], own[2][2];
@@ -307,7 +303,11 @@ static bool measure(const pass *q, const double measured[2], double rounding,
     z->V[0][1] = z->V[1][0] = -own[0][1] / z->det;
     z->V[1][1] = own[0][0] / z->det;
     for (int a = 0; a < 2; a++) z->w[a] = z->V[a][0] * z->e[0] + z->V[a][1] * z->e[1];
-    if (q->follower) doubt_outlier(q, p, own, f, z);
+    if (q->sensitive) innovation_by(p, z, f, by);
+    if (q->follower) {
+        f->square = considered_square(q->follower->covariance, own, by, z);
+        doubt_outlier(f, z);
+    }
     for (int r = 0; r < S; r++) {
         for (int a = 0; a < 2; a++) z->K[r][a] = PH[r][0] * z->V[0][a] + PH[r][1] * z->V[1][a];
         f->x[r] += PH[r][0] * z->w[0] + PH[r][1] * z->w[1];
@@ -319,11 +319,9 @@ static bool measure(const pass *q, const double measured[2], double rounding,
     return true;
 }
 
-/* Derivatives of the innovation, and the update of those of the state. */
-static void measure_sensitivity(const fo_prediction *p, const update *z, fo_filter *f,
-                                double by[2][FO_SENSITIVE])
+/* Measurement update of the derivatives of the state. */
+static void measure_sensitivity(const update *z, fo_filter *f, double by[2][FO_SENSITIVE])
 {
-    innovation_by(p, z, f, by);
     for (int r = 0; r < S; r++) {
         const double k = z->K[r][0], n = z->K[r][1];
         for (int j = 0; j < FO_SENSITIVE; j++) f->by[r][j] += k * by[0][j] + n * by[1][j];
@@ -889,8 +887,8 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
     if (seen) {
         measured_slope(at, z.H);
         const double rounding = log->rounding ? log->rounding[k] : 0.0;
-        if (!measure(q, i, rounding, at, f, counted, &z)) return false;
-        if (q->sensitive) measure_sensitivity(at, &z, f, error_by);
+        if (!measure(q, i, rounding, at, f, counted, &z, error_by)) return false;
+        if (q->sensitive) measure_sensitivity(&z, f, error_by);
         if (counted) count(&z, error_by, q->sensitive, q->out);
         for (int a = 0; a < 2; a++) residual[a] = z.R[a][0] * z.w[0] + z.R[a][1] * z.w[1];
     }
@@ -919,7 +917,7 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
         const double *flux = q->course->flux, speed = f->turning;
         const double large = fmax(held[0] * held[0] + held[1] * held[1],
                                   speed * speed * (flux[0] * flux[0] + flux[1] * flux[1]));
-        /* The error of one interval is that of the next, so the std of their sum is their number times one. */
+        /* Each interval has the same error, so the std of their sum grows with their number. */
         const double more = 0.5 * h * h * large * (2.0 * (double)f->unknown - 1.0);
         for (int a = 0; a < 2; a++) f->P[a][a] += more;
     }
@@ -994,8 +992,8 @@ void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
  * it last was zero. Each square counts `largest` at most, so that a spike or a load step of eight rows is no misfit.
  * The first rows do not count; where a hint is a witness of the angle, the sum falls. Assumed. */
 static const double usual = 3.0, misfit = 200.0, largest = 25.0;
-/* Rows in which the filter's drift may hide what does not fit. Assumed. */
-enum { BEFORE = 40 };
+/* Rows in which the filter's drift may hide what does not fit, and in which the filter settles. Assumed. */
+enum { BEFORE = 40, SETTLING = 40 };
 /* An angle that is known no better than this has no course [rad]: of a uniform angle, 1.81. Assumed. */
 static const double lost = 1.2;
 /* Intervals without a voltage, behind which the flux is lost. Assumed. */

@@ -53,7 +53,7 @@ typedef struct {
     bool early;            /* a voltage that acts early is that of the next row; else it is extrapolated */
 } fo_log;
 
-/* Rows of a log that follow each other, as a log. */
+/* A log of `rows` consecutive rows of a log. */
 fo_log fo_rows_of(const fo_log *log, size_t first, size_t rows);
 
 /* What is known before the first row: standard deviations about the course. */
@@ -92,7 +92,7 @@ typedef struct {
     double square;     /* of the last innovation, normalised: 1 if the levels are right */
     size_t doubted;    /* last rows whose square was that of an outlier */
     size_t calm;       /* row from which on a load step may come */
-    size_t unknown;    /* last rows whose voltage is missing: it is held, and as uncertain as it is large */
+    size_t unknown;    /* last rows without a voltage: it is held, and as uncertain as it is large */
 } fo_filter;
 
 /* What the filter knows at a row, for the way back. */

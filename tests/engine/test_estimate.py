@@ -33,8 +33,8 @@ from engine.scores import START, parameters_of
 H = 1e-4
 #: Indices of the angle and of ψ among the states.
 ANGLE, PSI = 2, 4
-#: Of the likelihood, of the logs below. The algorithm's own bound is larger: 120 for the first part
-#: (for each level if it is thinned), for each of four rounds of growth, and for early voltages.
+#: Of the likelihood, of the logs below. The algorithm's own bound is larger: 120 for each of six
+#: seeds and of four rounds of growth, ten for all rows, five for early voltages.
 MOST_EVALUATIONS = 120 + 4 + 40 + 120
 #: Drives of a kind. The mean of (error/σ)² over them scatters by about √(2/12) in each drive.
 DRIVES = 4
@@ -281,7 +281,7 @@ def test_a_hint_that_is_wrong_does_not_hold_the_course():
 
 
 def test_hints_that_no_machine_explains_are_forgotten():
-    """The longest run of hints is half a turn off, a shorter one is right."""
+    """A long run of hints is half a turn off. A shorter run is right."""
     record = simulated(replace(SURFACE, duration=0.4), 1, seed=4)
     hint, right = np.full(len(record.angle), np.nan), record.angle[:, 0]
     hint[2000:3500] = right[2000:3500] + np.pi
