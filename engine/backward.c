@@ -187,18 +187,24 @@ static void pass_measurement_by(const fo_row *row, double H[2][S], adjoint *a)
             a->by[r][j] -= H[0][r] * g[0][j] + H[1][r] * g[1][j];
 }
 
+/* The smoothed state, and its current about the course. */
+static void smooth_state(const fo_row *row, const adjoint *a, const fo_course *at, double x[FO_NOISE], double i[2])
+{
+    for (int s = 0; s < FO_NOISE; s++) x[s] = row->own[s] - dot(row->P[s], a->lambda);
+    for (int n = 0; n < 2; n++)
+        i[n] = row->current[n] + row->slope[n][FO_BY_ALPHA] * (x[FO_FLUX] - at->flux[0]) +
+               row->slope[n][FO_BY_BETA] * (x[FO_FLUX + 1] - at->flux[1]) +
+               row->slope[n][FO_BY_ANGLE] * (x[FO_ANGLE] - at->angle) +
+               row->slope[n][FO_BY_PSI] * (x[FO_PSI] - at->psi);
+}
+
 /* The next place to linearise at: the smoothed angle and current, and the flux that belongs to them. A step of
  * the angle is at most a quarter of a turn, as that of an arrow whose tip moves along the tangent. */
 static void smooth_course(const fo_model *m, const fo_row *row, const adjoint *a, fo_course *out)
 {
-    double x[FO_OWN], i[2];
-    for (int s = 0; s < FO_OWN; s++) x[s] = row->own[s] - dot(row->P[s], a->lambda);
-    const double turn = x[FO_ANGLE] - out->angle;
-    for (int n = 0; n < 2; n++)
-        i[n] = row->current[n] + row->slope[n][FO_BY_ALPHA] * (x[FO_FLUX] - out->flux[0]) +
-               row->slope[n][FO_BY_BETA] * (x[FO_FLUX + 1] - out->flux[1]) +
-               row->slope[n][FO_BY_ANGLE] * turn + row->slope[n][FO_BY_PSI] * (x[FO_PSI] - out->psi);
-    out->angle += atan(turn);
+    double x[FO_NOISE], i[2];
+    smooth_state(row, a, out, x, i);
+    out->angle += atan(x[FO_ANGLE] - out->angle);
     out->psi = x[FO_PSI];
     fo_flux_at(m, out->angle, out->psi, i, out->flux);
 }
@@ -215,42 +221,126 @@ static double square_of_noise(const fo_row *row, const measured *z, double varia
     return sum;
 }
 
-/* Variance that the parameters add to a state, from its derivatives. The levels add nothing: in first
- * order, they move no mean. */
-static double share_of_parameters(const double by[FO_SENSITIVE], const double *covariance)
+/* What the parameters add to variances: their covariance, and which of them are not exact. The levels add nothing:
+ * in first order, they move no mean. */
+typedef struct {
+    const double *covariance;
+    int at[FO_SENSITIVE], count;
+} unknowns;
+
+static unknowns unknowns_of(const double *covariance)
 {
-    double sum = 0.0;
-    for (int r = 0; r < FO_SENSITIVE; r++) {
-        const double *row = covariance + (r + FO_LEVELS) * FO_UNKNOWNS + FO_LEVELS;
-        double own = 0.0;
-        for (int c = 0; c < FO_SENSITIVE; c++) own += row[c] * by[c];
-        sum += by[r] * own;
-    }
-    return sum;
+    unknowns u = {.covariance = covariance};
+    for (int k = 0; covariance && k < FO_SENSITIVE; k++)
+        if (covariance[(size_t)(k + FO_LEVELS) * (FO_UNKNOWNS + 1)] > 0.0) u.at[u.count++] = k;
+    return u;
 }
 
-static void smooth_row(const fo_row *row, const adjoint *a, double h, double delay,
-                       const double *covariance, fo_smoothed *out)
+/* Variance of a quantity with these derivatives by the parameters and this variance `own` with exact ones. Adds `part`
+ * of each share, unless `shares` is null. */
+static double variance_of(const unknowns *u, const double by[FO_SENSITIVE], double own, double part, double *shares)
 {
-    static const int own[2] = {FO_ANGLE, FO_SPEED};
-    double value[2], std[2];
-    for (int s = 0; s < 2; s++) {
-        const double *P = row->P[own[s]];
-        double variance = P[own[s]], by[FO_SENSITIVE];
-        memcpy(by, row->own_by[s], sizeof by);
-        value[s] = row->own[own[s]] - dot(P, a->lambda);
-        for (int r = 0; r < S; r++) {
-            variance -= P[r] * dot(P, a->Lambda[r]);
-            for (int j = 0; j < FO_SENSITIVE; j++) by[j] -= P[r] * a->by[r][j];
-        }
-        if (s == 0) { /* The current is older than the row, and the angle is that of the row. */
-            const double turn = h * row->own[FO_SPEED];
-            value[s] += delay * turn;
-            by[FO_L_delay - FO_LEVELS] += turn;
-        }
-        std[s] = sqrt(fmax(variance + share_of_parameters(by, covariance), 0.0));
+    double sum = own;
+    for (int r = 0; r < u->count; r++) {
+        const double *row = u->covariance + (u->at[r] + FO_LEVELS) * FO_UNKNOWNS + FO_LEVELS;
+        double across = 0.0;
+        for (int c = 0; c < u->count; c++) across += row[u->at[c]] * by[u->at[c]];
+        sum += by[u->at[r]] * across;
+        if (shares) shares[u->at[r]] += part * by[u->at[r]] * across;
     }
-    *out = (fo_smoothed){value[0], std[0], value[1], std[1]};
+    if (shares) shares[FO_SENSITIVE] += part * own;
+    return fmax(sum, 0.0);
+}
+
+/* Smoothed variance of a linear combination of the states, and its derivatives by the parameters. */
+static double combine(const fo_row *row, const adjoint *a, const double weights[FO_NOISE], double by[FO_SENSITIVE])
+{
+    double P[S], variance = 0.0;
+    for (int r = 0; r < S; r++) {
+        P[r] = 0.0;
+        for (int s = 0; s < FO_NOISE; s++) P[r] += weights[s] * row->P[s][r];
+    }
+    for (int s = 0; s < FO_NOISE; s++) variance += weights[s] * P[s];
+    for (int r = 0; r < S; r++) variance -= P[r] * dot(P, a->Lambda[r]);
+    memset(by, 0, sizeof(double) * FO_SENSITIVE);
+    for (int s = 0; s < FO_NOISE; s++)
+        for (int j = 0; weights[s] != 0.0 && j < FO_SENSITIVE; j++) by[j] += weights[s] * row->own_by[s][j];
+    for (int r = 0; r < S; r++)
+        for (int j = 0; j < FO_SENSITIVE; j++) by[j] -= P[r] * a->by[r][j];
+    return variance;
+}
+
+/* Torque over 3/2 of the pole pairs: of the flux and the current that makes it. */
+static void smooth_torque(const fo_row *row, const adjoint *a, const unknowns *u, const double x[FO_NOISE],
+                          const double i[2], double *shares, fo_smoothed *out)
+{
+    double weights[FO_NOISE] = {i[1], -i[0]}, by[FO_SENSITIVE];
+    for (int k = 0; k < FO_BY; k++)
+        weights[fo_measured_states[k]] += x[FO_FLUX] * row->slope[1][k] - x[FO_FLUX + 1] * row->slope[0][k];
+    const double own = combine(row, a, weights, by);
+    for (int j = 0; j < FO_SENSITIVE; j++)
+        by[j] += x[FO_FLUX] * row->current_by[1][j] - x[FO_FLUX + 1] * row->current_by[0][j];
+    out->torque = x[FO_FLUX] * i[1] - x[FO_FLUX + 1] * i[0];
+    out->torque_std = sqrt(variance_of(u, by, own, 1.0, shares));
+}
+
+static double length_of(const fo_row *row)
+{
+    const double *e = row->error;
+    if (!row->measured) return 0.0;
+    const double square = row->V[0][0] * e[0] * e[0] + 2.0 * row->V[0][1] * e[0] * e[1] + row->V[1][1] * e[1] * e[1];
+    return sqrt(0.5 * square);
+}
+
+/* The current is older than the row by `delay` intervals; angle and flux are those of the row. */
+static void smooth_row(const fo_model *m, const fo_row *row, const adjoint *a, const fo_course *at, double h,
+                       double delay, const unknowns *u, fo_shares *shares, fo_smoothed *out)
+{
+    double x[FO_NOISE], i[2], variance[FO_NOISE];
+    smooth_state(row, a, at, x, i);
+    const double turn = h * row->own[FO_SPEED], late = delay * turn;
+    const double re = cos(late), im = sin(late);
+    for (int s = 0; s < FO_NOISE; s++) {
+        double weights[FO_NOISE] = {0.0}, by[FO_SENSITIVE];
+        if (s == FO_ACCELERATION) continue;
+        weights[s] = 1.0;
+        if (s < 2) {
+            weights[0] = s ? im : re;
+            weights[1] = s ? re : -im;
+        }
+        const double own = combine(row, a, weights, by);
+        double *share = NULL;
+        if (s == FO_ANGLE) by[FO_L_delay - FO_LEVELS] += turn;
+        if (s == FO_FLUX) by[FO_L_delay - FO_LEVELS] -= turn * (im * x[0] + re * x[1]);
+        if (s == FO_FLUX + 1) by[FO_L_delay - FO_LEVELS] += turn * (re * x[0] - im * x[1]);
+        if (s == FO_PSI) by[FO_L_psi_f - FO_LEVELS] += m->psi.d[0];
+        if (shares && s == FO_ANGLE) share = (*shares)[FO_SHARES_ANGLE];
+        if (shares && s == FO_SPEED) share = (*shares)[FO_SHARES_SPEED];
+        if (shares && s < 2) share = (*shares)[FO_SHARES_FLUX];
+        variance[s] = variance_of(u, by, own, s < 2 ? 0.5 : 1.0, share);
+    }
+    *out = (fo_smoothed){.angle = x[FO_ANGLE] + late,
+                         .angle_std = sqrt(variance[FO_ANGLE]),
+                         .speed = x[FO_SPEED],
+                         .speed_std = sqrt(variance[FO_SPEED]),
+                         .flux = {re * x[0] - im * x[1], im * x[0] + re * x[1]},
+                         .flux_std = {sqrt(variance[0]), sqrt(variance[1])},
+                         .psi = x[FO_PSI] + m->psi.d[0],
+                         .psi_std = sqrt(variance[FO_PSI]),
+                         .drift = {x[FO_DRIFT], x[FO_DRIFT + 1]},
+                         .drift_std = {sqrt(variance[FO_DRIFT]), sqrt(variance[FO_DRIFT + 1])},
+                         .innovation = length_of(row)};
+    smooth_torque(row, a, u, x, i, shares ? (*shares)[FO_SHARES_TORQUE] : NULL, out);
+}
+
+/* Where the shares of a row go; null: they are not wanted. */
+static fo_shares *shares_of(const fo_outputs *out, size_t row)
+{
+    const size_t at = out->place + row;
+    if (!out->shares || at % out->stride) return NULL;
+    fo_shares *shares = out->shares + at / out->stride;
+    memset(shares, 0, sizeof *shares);
+    return shares;
 }
 
 void fo_backward(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
@@ -258,6 +348,7 @@ void fo_backward(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
 {
     const fo_model m = fo_model_of(problem->machine, parameters);
     const fo_elements elements = fo_elements_of(&m);
+    const unknowns known = unknowns_of(out->covariance);
     const double h = problem->log->sample_time;
     const size_t count = problem->log->rows, skipped = problem->start->skipped;
     /* `all` counts all rows; rows before `skipped` do not count in the objective. */
@@ -296,7 +387,7 @@ void fo_backward(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
                 smooth_course(&m, row, &all, out->course + n);
             }
             if (out->smoothed)
-                smooth_row(row, &all, h, parameters[FO_L_delay], out->covariance,
+                smooth_row(&m, row, &all, course + k, h, parameters[FO_L_delay], &known, shares_of(out, n),
                            out->smoothed + n);
             if (!row->measured) continue;
             double H[2][S];

@@ -8,11 +8,23 @@
 extern "C" {
 #endif
 
-/* Angle and speed at the time of a row, with standard deviations. */
+/* The estimate of a row, with standard deviations; vectors in stator coordinates. */
 typedef struct {
-    double angle, angle_std; /* [rad] */
-    double speed, speed_std; /* [rad/s] */
+    double angle, angle_std;     /* [rad] */
+    double speed, speed_std;     /* [rad/s] */
+    double flux[2], flux_std[2]; /* [Wb] */
+    double psi, psi_std;         /* of magnets or rotor [Wb] */
+    double drift[2], drift_std[2]; /* of the voltage [V] */
+    double torque, torque_std;   /* flux × current [W s] */
+    double innovation; /* length over that of one standard deviation; 1 if the levels are right; 0: not measured */
 } fo_smoothed;
+
+/* Shares of a variance: of each unknown but the levels, and of what remains if these are exact. Correlations
+ * count for both unknowns by half. */
+enum { FO_SHARES = FO_SENSITIVE + 1 };
+/* Quantities that have them: angle, speed, a component of the flux, torque. */
+enum { FO_SHARES_ANGLE, FO_SHARES_SPEED, FO_SHARES_FLUX, FO_SHARES_TORQUE, FO_QUANTITIES };
+typedef double fo_shares[FO_QUANTITIES][FO_SHARES];
 
 /* What all rows say about the errors at a row. Squares are expected ones, divided by the variance that the
  * filter assumes. */
@@ -28,6 +40,8 @@ typedef struct {
     fo_squares *squares;
     fo_smoothed *smoothed;
     const double *covariance; /* of the parameters, FO_UNKNOWNS squared: what it adds to `smoothed` */
+    fo_shares *shares;        /* of every `stride`-th row, counted from `place` rows before the first one */
+    size_t stride, place;
 } fo_outputs;
 
 /* Completes the score of fo_innovations at the same parameters (`score`: FO_UNKNOWNS, or null).

@@ -727,16 +727,17 @@ static fo_outcome learn_log(learning *l, const double *parameters, bool sure, fo
     return outcome == FO_ESTIMATED ? learn_grown(l, sure, hinted, g) : outcome;
 }
 
-static bool smooth(learning *l, fo_smoothed *rows)
+static bool smooth(learning *l, const fo_estimates *estimates)
 {
+    const fo_smoothed unknown = {.angle = (double)NAN, .angle_std = HUGE_VAL, .speed = (double)NAN,
+                                 .speed_std = HUGE_VAL};
     l->posterior->conflict = fo_conflict_of(&l->prior, l->posterior);
-    for (size_t k = 0; k < l->log.rows; k++)
-        rows[k] = (fo_smoothed){(double)NAN, HUGE_VAL, (double)NAN, HUGE_VAL};
-    return fo_smooth_parts(&l->work, &l->prior, l->posterior, rows);
+    for (size_t k = 0; k < l->log.rows; k++) estimates->rows[k] = unknown;
+    return fo_smooth_parts(&l->work, &l->prior, l->posterior, estimates);
 }
 
 fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const double *angles, bool sure,
-                           const double *parameters, fo_posterior *posterior, fo_smoothed *rows)
+                           const double *parameters, fo_posterior *posterior, const fo_estimates *estimates)
 {
     const fo_prior prior = fo_ordinary_prior(record, file);
     learning l;
@@ -756,7 +757,7 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
     if (outcome == FO_ESTIMATED) outcome = learn_log(&l, parameters, sure, &g);
     if (outcome == FO_ESTIMATED) {
         try_early(&l);
-        if (!smooth(&l, rows)) outcome = FO_NO_ESTIMATE;
+        if (!smooth(&l, estimates)) outcome = FO_NO_ESTIMATE;
     }
     free(g.hints);
     free(g.angles);

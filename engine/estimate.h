@@ -42,11 +42,11 @@ fo_prior fo_ordinary_prior(const fo_log *log, const fo_file *file);
 
 /* Estimates a log from angles that an observer gives: `angles` has a number for each row, NaN where it knows none.
  * `sure`: the observer calls these rows valid. The longest run that gives parameters which a machine may have is
- * believed within about half a radian; if it is not sure, these parameters must explain as many other rows. `rows`: an
- * element for each row, its angle NaN where nothing explains the currents. `parameters`: where learning starts, an
- * array of FO_UNKNOWNS or null; a parameter that is NaN starts at the mean of its prior. */
+ * believed within about half a radian; if it is not sure, these parameters must explain as many other rows. Rows whose
+ * currents nothing explains have an angle of NaN, and no shares. `parameters`: where learning starts, an array of
+ * FO_UNKNOWNS or null; a parameter that is NaN starts at the mean of its prior. */
 fo_outcome fo_estimate_log(const fo_log *log, const fo_file *file, const double *angles, bool sure,
-                           const double *parameters, fo_posterior *posterior, fo_smoothed *rows);
+                           const double *parameters, fo_posterior *posterior, const fo_estimates *estimates);
 
 #ifdef __cplusplus
 }

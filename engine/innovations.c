@@ -809,8 +809,14 @@ static void keep_row(const fo_filter *f, const fo_prediction *at, const update *
     memcpy(row->P, f->P, sizeof row->P);
     row->measured = z;
     if (sensitive) {
-        memcpy(row->own_by[0], f->by[FO_ANGLE], sizeof row->own_by[0]);
-        memcpy(row->own_by[1], f->by[FO_SPEED], sizeof row->own_by[1]);
+        memcpy(row->own_by, f->by, sizeof row->own_by);
+        for (int a = 0; a < 2; a++) {
+            double *by = row->current_by[a];
+            memset(by, 0, sizeof row->current_by[a]);
+            add_of_model(by, a ? &at->current.b : &at->current.a);
+            memcpy(by + MEANS, at->by[a], sizeof at->by[a]);
+            by[FO_L_iron_loss - FO_LEVELS] = 0.0;
+        }
         memcpy(row->error_by, error_by, sizeof row->error_by);
     }
     if (!z) return;

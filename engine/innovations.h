@@ -30,8 +30,6 @@ enum {
     FO_NOISE = 8,
     FO_STATES = 10
 };
-/* Those of the course and of the result: flux, angle, speed, ψ. */
-enum { FO_OWN = 5 };
 /* Elements of the transition that may not be zero, and how many of them, the first, depend on the
  * parameters of the model; see innovations.c. */
 enum { FO_ELEMENTS = 43, FO_BENT = 26 };
@@ -97,7 +95,7 @@ typedef struct {
 
 /* What the filter knows at a row, for the way back. */
 typedef struct {
-    double own[FO_OWN];                 /* after the measurement */
+    double own[FO_STATES];              /* after the measurement */
     double current[2], slope[2][FO_BY]; /* that makes flux, at the course, and its derivatives */
     double P[FO_STATES][FO_STATES];     /* covariance after the measurement */
     double error[2], V[2][2];           /* innovation, inverse of its covariance */
@@ -108,7 +106,8 @@ typedef struct {
     double F[FO_ELEMENTS];              /* transition to the next row */
     double F_by[FO_BENT][FO_T];
     double error_by[2][FO_SENSITIVE];   /* derivatives of the innovation, gain held */
-    double own_by[2][FO_SENSITIVE];     /* of angle and speed */
+    double own_by[FO_NOISE][FO_SENSITIVE]; /* of the states but the noise */
+    double current_by[2][FO_SENSITIVE]; /* of that current, with given states */
     bool measured;
 } fo_row;
 

@@ -697,7 +697,7 @@ bool fo_learn(const fo_work *w, const fo_prior *prior, double gain, size_t most,
     return true;
 }
 
-bool fo_smooth_parts(const fo_work *w, const fo_prior *prior, fo_posterior *out, fo_smoothed *rows)
+bool fo_smooth_parts(const fo_work *w, const fo_prior *prior, fo_posterior *out, const fo_estimates *estimates)
 {
     fo_likelihood last;
     if (!sum_innovations(w, out->parameters, FO_OF_ALL, &last) || !fo_covariance(&last, prior, out))
@@ -705,7 +705,11 @@ bool fo_smooth_parts(const fo_work *w, const fo_prior *prior, fo_posterior *out,
     for (size_t n = 0; n < w->count; n++) {
         part own;
         part_of(w, n, &own);
-        const fo_outputs wanted = {.smoothed = rows + w->parts[n].first, .covariance = out->covariance};
+        const fo_outputs wanted = {.smoothed = estimates->rows + w->parts[n].first,
+                                   .covariance = out->covariance,
+                                   .shares = estimates->shares,
+                                   .stride = estimates->stride,
+                                   .place = w->parts[n].first};
         fo_backward(&own.problem, out->parameters, own.checkpoints, w->rows, &wanted, NULL);
     }
     return true;

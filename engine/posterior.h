@@ -64,8 +64,15 @@ bool fo_learn(const fo_work *work, const fo_prior *prior, double gain, size_t mo
  * back in part. */
 bool fo_settle(const fo_work *work, const double *parameters, int passes);
 
+/* Estimates of a log: an element for each row, and shares of the variances of every `stride`-th one, or null. */
+typedef struct {
+    fo_smoothed *rows;
+    fo_shares *shares;
+    size_t stride;
+} fo_estimates;
+
 /* Covariance of the parameters, and the rows of the parts. False: the likelihood cannot be evaluated. */
-bool fo_smooth_parts(const fo_work *work, const fo_prior *prior, fo_posterior *out, fo_smoothed *rows);
+bool fo_smooth_parts(const fo_work *work, const fo_prior *prior, fo_posterior *out, const fo_estimates *estimates);
 
 /* Covariance at the likelihood. False: the curvature is not positive. */
 bool fo_covariance(const fo_likelihood *at, const fo_prior *prior, fo_posterior *out);

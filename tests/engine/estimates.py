@@ -8,7 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.likelihood import INDEX, SMOOTHED, UNKNOWNS, Array, Complex, library, log_of, pointer
+from engine.likelihood import (
+    INDEX,
+    SENSITIVE,
+    SMOOTHED,
+    UNKNOWNS,
+    Array,
+    Complex,
+    address,
+    library,
+    log_of,
+    pointer,
+)
 from fluxobs.machines.model.frames import wrap
 
 NO_ESTIMATE = 1
@@ -46,11 +57,25 @@ class _Posterior(ctypes.Structure):
     )
 
 
+class _Estimates(ctypes.Structure):
+    _fields_ = (
+        ("rows", ctypes.c_void_p),
+        ("shares", ctypes.c_void_p),
+        ("stride", ctypes.c_size_t),
+    )
+
+
+#: Rows of which one has shares of its variances; quantities and shares; see engine/backward.h.
+STRIDE, SHARES = 7, (4, SENSITIVE + 1)
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Rows and parameters of a log."""
 
     rows: NDArray[np.void]
+    #: Of every STRIDE-th row: quantities, and their shares.
+    shares: Array
     parameters: Array
     covariance: Array
     harmonics: float
@@ -110,6 +135,7 @@ def estimate(
     machine file.
     """
     rows, out = np.zeros(len(current), SMOOTHED), _Posterior()
+    shares = np.zeros((-(-len(rows) // STRIDE), *SHARES))
     begin = np.full(UNKNOWNS, np.nan)
     for name, value in (parameters or {}).items():
         begin[INDEX[name]] = value
@@ -122,13 +148,14 @@ def estimate(
             ctypes.c_bool(sure),
             pointer(begin),
             ctypes.byref(out),
-            pointer(rows),
+            ctypes.byref(_Estimates(address(rows), address(shares), STRIDE)),
         )
     if outcome == NO_ESTIMATE:
         raise NoEstimate
     assert outcome == 0, "no memory"
     return Estimate(
         rows,
+        shares,
         np.array(out.parameters),
         np.array(out.covariance).reshape(UNKNOWNS, UNKNOWNS),
         out.harmonics,

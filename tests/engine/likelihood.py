@@ -31,8 +31,8 @@ UNKNOWNS = N + 2 * len(ORDERS)
 #: Parameters that change covariances only, and those of the linearised model.
 LEVELS = NAMES[: NAMES.index("colour_pole")]
 MODEL = NAMES[NAMES.index("resistance") : NAMES.index("loss")]
-#: States of the filter; of them flux, angle, speed and ψ are kept. The current depends on BY.
-STATES, OWN, BY = 10, 5, 4
+#: States of the filter, the first of the noise; the current depends on BY of them.
+STATES, NOISE, BY = 10, 8, 4
 ELEMENTS, BENT = 43, 26
 SENSITIVE = UNKNOWNS - len(LEVELS)
 CHUNK = 64
@@ -116,7 +116,7 @@ FILTER = np.dtype(
 )
 ROW = np.dtype(
     [
-        ("own", float, OWN),
+        ("own", float, STATES),
         ("current", float, 2),
         ("slope", float, (2, BY)),
         ("P", float, (STATES, STATES)),
@@ -129,18 +129,29 @@ ROW = np.dtype(
         ("F", float, ELEMENTS),
         ("F_by", float, (BENT, len(MODEL))),
         ("error_by", float, (2, SENSITIVE)),
-        ("own_by", float, (2, SENSITIVE)),
+        ("own_by", float, (NOISE, SENSITIVE)),
+        ("current_by", float, (2, SENSITIVE)),
         ("measured", bool),
     ],
     align=True,
 )
-#: A smoothed row.
-SMOOTHED = np.dtype([(name, float) for name in ("angle", "angle_std", "speed", "speed_std")])
+#: A smoothed row; see engine/backward.h.
+VECTORS = ("flux", "drift")
+SMOOTHED = np.dtype(
+    [
+        (name + end, float, 2 if name in VECTORS else ())
+        for name in ("angle", "speed", "flux", "psi", "drift", "torque")
+        for end in ("", "_std")
+    ]
+    + [("innovation", float)]
+)
 
 
 class _Outputs(ctypes.Structure):
-    _fields_ = tuple(
-        (name, ctypes.c_void_p) for name in ("course", "squares", "smoothed", "covariance")
+    _fields_ = (
+        *((n, ctypes.c_void_p) for n in ("course", "squares", "smoothed", "covariance", "shares")),
+        ("stride", ctypes.c_size_t),
+        ("place", ctypes.c_size_t),
     )
 
 
@@ -247,7 +258,7 @@ def likelihood(
         assert done, "the covariance is not positive, or a number is not finite"
         whole = (ctypes.c_size_t(n), ctypes.c_bool(True), address(rows))
         code.fo_again(*about, address(checkpoints), address(course), *whole)
-        outputs = _Outputs(address(follows), None, address(smoothed), address(exact))
+        outputs = _Outputs(address(follows), None, address(smoothed), address(exact), None, 1, 0)
         back = (address(checkpoints), address(working), ctypes.byref(outputs), out.score)
         code.fo_backward(*about, *back)
     return Likelihood(

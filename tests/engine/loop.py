@@ -51,11 +51,19 @@ class Conditions:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Voltages and currents of many drives, (rows, drives), and the true angle."""
+    """Voltages and currents of many drives, (rows, drives), and what is true.
+
+    The torque is over 3/2 of the pole pairs [W s]; `drift` of each drive is the error of its logged
+    voltages.
+    """
 
     voltage: Complex
     current: Complex
     angle: Array
+    speed: Array
+    flux: Complex
+    torque: Array
+    drift: Complex
 
 
 def simulated(
@@ -95,14 +103,17 @@ def simulated(
     flux = flux_of(np.full(drives, wanted(0.0)))
     own = Controller(c, angle, flux * np.exp(1j * angle))
     before = np.zeros(drives, complex)
-    record = Record(*(np.empty((rows, drives), kind) for kind in (complex, complex, float)))
+    kinds = (complex, complex, float, float, complex, float)
+    record = Record(*(np.empty((rows, drives), kind) for kind in kinds), drift)
     for k in range(rows):
         measured = current_of(flux) * np.exp(1j * angle) + noise[k]
         if c.encoder:
             own.angle, own.speed = angle, speeds[k]
         voltage = own.voltage(measured, wanted(k * h), flux_of)
         record.voltage[k], record.current[k] = voltage + drift, measured
-        record.angle[k] = angle
+        record.angle[k], record.speed[k] = angle, speeds[k]
+        record.flux[k] = flux * np.exp(1j * angle)
+        record.torque[k] = (flux.conj() * current_of(flux)).imag
         applied, before = (before if c.lag else voltage), voltage
         own.integrate(applied, measured)
         flux = _through(flux, angle, speeds[k], applied, c, current_of)
