@@ -18,7 +18,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready-$(shell find src/fluxobs -name '*.py' | LC_ALL=C sort | cksum | cut -d ' ' -f 1)
 FIRMWARE := $(wildcard firmware/*.c)
 ENGINE := $(wildcard engine/*.c)
-SOURCES := CMakeLists.txt pyproject.toml $(wildcard binding/*) $(wildcard smoothing/*) $(FIRMWARE) $(wildcard firmware/*.h)
+SOURCES := CMakeLists.txt pyproject.toml $(wildcard binding/*) $(wildcard smoothing/*) $(wildcard engine/*) $(FIRMWARE) $(wildcard firmware/*.h)
 
 # The tests of a file run in one process: they share its fixtures and what JAX has compiled.
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder

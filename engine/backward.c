@@ -323,12 +323,16 @@ static void smooth_row(const fo_model *m, const fo_row *row, const adjoint *a, c
                          .angle_std = sqrt(variance[FO_ANGLE]),
                          .speed = x[FO_SPEED],
                          .speed_std = sqrt(variance[FO_SPEED]),
-                         .flux = {re * x[0] - im * x[1], im * x[0] + re * x[1]},
-                         .flux_std = {sqrt(variance[0]), sqrt(variance[1])},
+                         .flux_alpha = re * x[0] - im * x[1],
+                         .flux_beta = im * x[0] + re * x[1],
+                         .flux_alpha_std = sqrt(variance[0]),
+                         .flux_beta_std = sqrt(variance[1]),
                          .psi = x[FO_PSI] + m->psi.d[0],
                          .psi_std = sqrt(variance[FO_PSI]),
-                         .drift = {x[FO_DRIFT], x[FO_DRIFT + 1]},
-                         .drift_std = {sqrt(variance[FO_DRIFT]), sqrt(variance[FO_DRIFT + 1])},
+                         .drift_alpha = x[FO_DRIFT],
+                         .drift_beta = x[FO_DRIFT + 1],
+                         .drift_alpha_std = sqrt(variance[FO_DRIFT]),
+                         .drift_beta_std = sqrt(variance[FO_DRIFT + 1]),
                          .innovation = length_of(row)};
     smooth_torque(row, a, u, x, i, shares ? (*shares)[FO_SHARES_TORQUE] : NULL, out);
 }

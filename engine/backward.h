@@ -9,14 +9,29 @@ extern "C" {
 #endif
 
 /* The estimate of a row, with standard deviations; vectors in stator coordinates. */
+#define FO_OF_A_ROW(NUMBER)                                                                     \
+    NUMBER(angle)      /* [rad]                                                              */ \
+    NUMBER(angle_std)                                                                           \
+    NUMBER(speed)      /* [rad/s]                                                            */ \
+    NUMBER(speed_std)                                                                           \
+    NUMBER(flux_alpha) /* [Wb]                                                               */ \
+    NUMBER(flux_beta)                                                                           \
+    NUMBER(flux_alpha_std)                                                                      \
+    NUMBER(flux_beta_std)                                                                       \
+    NUMBER(psi)        /* of magnets or rotor [Wb]                                           */ \
+    NUMBER(psi_std)                                                                             \
+    NUMBER(drift_alpha) /* of the voltage [V]                                                */ \
+    NUMBER(drift_beta)                                                                          \
+    NUMBER(drift_alpha_std)                                                                     \
+    NUMBER(drift_beta_std)                                                                      \
+    NUMBER(torque)     /* over 3/2 of the pole pairs: flux × current [W s]                   */ \
+    NUMBER(torque_std)                                                                          \
+    NUMBER(innovation) /* its length over that of one standard deviation: 1 if the levels are right; 0: not measured */
+
 typedef struct {
-    double angle, angle_std;     /* [rad] */
-    double speed, speed_std;     /* [rad/s] */
-    double flux[2], flux_std[2]; /* [Wb] */
-    double psi, psi_std;         /* of magnets or rotor [Wb] */
-    double drift[2], drift_std[2]; /* of the voltage [V] */
-    double torque, torque_std;   /* flux × current [W s] */
-    double innovation; /* length over that of one standard deviation; 1 if the levels are right; 0: not measured */
+#define FO_ROW_NUMBER(name) double name;
+    FO_OF_A_ROW(FO_ROW_NUMBER)
+#undef FO_ROW_NUMBER
 } fo_smoothed;
 
 /* Shares of a variance: of each unknown but the levels, and of what remains if these are exact. Correlations

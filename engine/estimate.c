@@ -60,8 +60,8 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     const double u = mean_voltage(record), h = fabs(record->sample_time);
     const double speed = u / file->flux; /* at which this flux alone gives the mean voltage */
     put(&p, FO_L_resistance, log(file->R), file->R_std);
-    put(&p, FO_L_L_d, log(file->L_d), file->L_std);
-    put(&p, FO_L_L_q, log(file->L_q), file->L_std);
+    put(&p, FO_L_L_d, log(file->L_d), file->L_d_std);
+    put(&p, FO_L_L_q, log(file->L_q), file->L_q_std);
     put(&p, FO_L_psi_f, log(file->psi_f), file->psi_f > 0.0 ? file->psi_std : 0.0);
     /* Rated current alone accelerates to that speed in 2 ms, or much more slowly. */
     put(&p, FO_L_mobility, 0.0, speed / (0.002 * file->flux * file->rated_current));
@@ -69,7 +69,10 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     put(&p, FO_L_acceleration, log(10.0 * speed), 3.0);
     put(&p, FO_L_voltage, log(0.001 * u * sqrt(h)), 1.5);
     put(&p, FO_L_drift, log(0.001 * u), 1.0);
-    put(&p, FO_L_loss, log(0.02 * u), 1.5);
+    if (file->loss > 0.0)
+        put(&p, FO_L_loss, log(file->loss), file->loss_std);
+    else
+        put(&p, FO_L_loss, log(0.02 * u), 1.5);
     put(&p, FO_L_knee, log(0.03 * file->rated_current), 0.7);
     put(&p, FO_L_lag, file->lag, file->lag_std);
     put(&p, FO_L_delay, 0.0, file->delay_std);
@@ -82,11 +85,11 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     put(&p, FO_L_saturation_d, 0.0, file->saturation_std);
     put(&p, FO_L_saturation_q, 0.0, file->saturation_std);
     if (file->R_R > 0.0) {
-        put(&p, FO_L_rotor_resistance, log(file->R_R), file->cage_std);
-        put(&p, FO_L_magnetizing, log(file->L_M), file->cage_std);
+        put(&p, FO_L_rotor_resistance, log(file->R_R), file->R_R_std);
+        put(&p, FO_L_magnetizing, log(file->L_M), file->L_M_std);
     }
     /* The angle of a cage's flux is no place on its rotor. */
-    p.harmonics = file->R_R > 0.0 ? 0.0 : 0.01 * file->flux;
+    p.harmonics = file->R_R > 0.0 ? 0.0 : file->harmonics * file->flux;
     p.round = !file->map && file->L_d == file->L_q;
     return p;
 }

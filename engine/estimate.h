@@ -14,22 +14,40 @@ typedef enum {
     FO_NO_MEMORY
 } fo_outcome;
 
-/* Machine file: values, and relative standard deviations (logarithms); a std of zero is exact. */
+/* Machine file: values, and relative standard deviations (logarithms); a std of zero is exact. With a flux map, L_d
+ * and L_q are its scales. Of the errors of a drive: standard deviations; zero: it has none. */
+#define FO_FILE_FIELDS(NUMBER)                                                                  \
+    NUMBER(R)              /* [Ω]                                                            */ \
+    NUMBER(L_d)            /* [H] or [1]                                                     */ \
+    NUMBER(L_q)                                                                                 \
+    NUMBER(psi_f)          /* of magnets [Wb]                                                */ \
+    NUMBER(rated_current)  /* [A]                                                            */ \
+    NUMBER(R_std)                                                                               \
+    NUMBER(L_d_std)                                                                             \
+    NUMBER(L_q_std)                                                                             \
+    NUMBER(psi_std)                                                                             \
+    NUMBER(flux)           /* that usually turns with the rotor [Wb]                         */ \
+    NUMBER(R_R)            /* of a cage [Ω]; else 0                                          */ \
+    NUMBER(L_M)            /* of a cage [H]; else 0                                          */ \
+    NUMBER(R_R_std)                                                                             \
+    NUMBER(L_M_std)                                                                             \
+    NUMBER(loss)           /* inverter's, of a phase; 0: an ordinary one [V]                 */ \
+    NUMBER(loss_std)                                                                            \
+    NUMBER(harmonics)      /* scale of the harmonics' coefficients, as a share of the flux   */ \
+    NUMBER(lag)            /* by which the voltages act later than the log says [samples]    */ \
+    NUMBER(lag_std)                                                                             \
+    NUMBER(delay_std)      /* by which the currents are older than the log says [samples]    */ \
+    NUMBER(iron_std)       /* current of the iron loss per induced voltage [A/V]             */ \
+    NUMBER(heat_std)       /* relative change of R over the log [1]                          */ \
+    NUMBER(offset_std)     /* of a component of the current [A]                              */ \
+    NUMBER(gain_std)       /* unequal gains of the current sensors [1]                       */ \
+    NUMBER(saturation_std) /* share of its flux that the rated current loses [1]             */
+
 typedef struct {
-    double R, L_d, L_q, psi_f, rated_current; /* with a flux map: L_d and L_q are its scales */
-    double R_std, L_std, psi_std;
+#define FO_FILE_NUMBER(name) double name;
+    FO_FILE_FIELDS(FO_FILE_NUMBER)
+#undef FO_FILE_NUMBER
     const fo_map *map; /* null: constant inductances */
-    double flux;       /* that usually turns with the rotor [Wb] */
-    double R_R, L_M;   /* of a cage [Ω], [H]; else 0 */
-    double cage_std;   /* of both */
-    double lag, lag_std; /* that the voltages act later than the log says [samples] */
-    /* Errors that a drive may have; 0: it has none. */
-    double delay_std;  /* the currents are older than the log says [samples] */
-    double iron_std;   /* current of the iron loss per induced voltage [A/V] */
-    double heat_std;   /* relative change of R over the log [1] */
-    double offset_std; /* of a component of the current [A] */
-    double gain_std;   /* unequal gains of the current sensors [1] */
-    double saturation_std; /* share of its flux that the rated current loses [1] */
 } fo_file;
 
 /* Variance that rounding adds to each row's noise [A²]. While the reading does not change, its error does

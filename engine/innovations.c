@@ -970,12 +970,17 @@ bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOW
     fo_prediction predictions[2];
     predictions[0] = prediction_at(&q, &f);
     for (size_t k = 0; k < problem->log->rows; k++, q.course++) {
-        if (k % FO_CHUNK == 0) checkpoints[k / FO_CHUNK] = f;
+        if (k % FO_CHUNK == 0) {
+            if (fo_interrupted) return false;
+            checkpoints[k / FO_CHUNK] = f;
+        }
         if (!pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, NULL)) return false;
     }
     complete(out);
     return true;
 }
+
+volatile int fo_interrupted = 0;
 
 void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
               const fo_filter *from, const fo_course *course, size_t count, bool sensitive,
@@ -1037,6 +1042,7 @@ size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
     for (size_t k = 0; k < problem->log->rows; k++, q.course++, q.followed++) {
         f.square = 0.0;
         if (f.unknown > GAP) return k - f.unknown;
+        if (fo_interrupted) return 0;
         if (!pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, NULL)) return fitting;
         if (k >= SETTLING) {
             const bool counts = !has_witness(follower, k, q.course->angle);

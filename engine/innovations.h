@@ -147,6 +147,9 @@ typedef struct {
     const double *covariance;
 } fo_follower;
 
+/* Not zero: what runs ends soon, as if the likelihood could not be evaluated. */
+extern volatile int fo_interrupted;
+
 /* Writes the course that the filter itself predicts, behind the rows that are given. Returns how many rows fit;
  * it ends where they do not, or where the angle is lost. */
 size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS],

@@ -26,11 +26,12 @@ sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
 from numbers_data import Numbers  # noqa: E402
 
-from engine.estimates import Estimate, NoEstimate, degrees, estimate  # noqa: E402
+from engine.estimates import NoEstimate, degrees, estimate  # noqa: E402
 from engine.machines import machine_file, measured  # noqa: E402
 from engine.starts import rms, started  # noqa: E402
 from fluxobs.benchmark.draws import COURSES, MACHINES, every_error  # noqa: E402
 from fluxobs.benchmark.drives import Drive, simulated  # noqa: E402
+from fluxobs.inference.posterior import Posterior  # noqa: E402
 from fluxobs.machines import example  # noqa: E402
 
 ROWS = slice(500, 12500)
@@ -61,7 +62,7 @@ class Score:
     evaluations: int
 
 
-def from_truth(drive: Drive) -> Estimate:
+def from_truth(drive: Drive) -> Posterior:
     """Estimate a drive from its true angle and machine."""
     u, h = drive.voltage[ROWS], drive.sample_time
     volts = float(np.sqrt(np.nanmean(np.abs(u) ** 2)))
@@ -94,7 +95,7 @@ def score(drive: Drive, truth: bool) -> Score:
         float(np.mean((error / std) ** 2)),
         float(np.mean(np.abs(error) < 2 * std)),
         tuple(float(100 * abs(np.exp(e.value(n)) / x - 1)) if x else 0.0 for n, x in pairs),
-        e.evaluations,
+        e.about["evaluations"],
     )
 
 

@@ -28,11 +28,12 @@ from common import MEASURED  # noqa: E402
 from measured import LAYOUT, MACHINE, Q8  # noqa: E402
 from numbers_data import Numbers  # noqa: E402
 
-from engine.estimates import Estimate, degrees  # noqa: E402
+from engine.estimates import degrees  # noqa: E402
 from engine.likelihood import Array  # noqa: E402
 from engine.loop import INTERIOR, SURFACE, Conditions, simulated  # noqa: E402
 from engine.starts import rms, started  # noqa: E402
 from fluxobs import InteriorPMSM, SurfacePMSM  # noqa: E402
+from fluxobs.inference.posterior import Posterior  # noqa: E402
 
 RATED = 12.0
 #: Name and conditions of the closed loops; files are 10 to 20 % wrong.
@@ -109,7 +110,7 @@ def loop_row(name: str, rows: list[dict[str, float]]) -> list[str]:
     ]
 
 
-def part(path: Path, rows: tuple[int, int]) -> tuple[Array, Estimate]:
+def part(path: Path, rows: tuple[int, int]) -> tuple[Array, Posterior]:
     """Return the errors of the angle [°] on rows of a measured log, and the estimate."""
     table = pl.read_csv(path)
     u, i = (table.select(f"{x}_a", f"{x}_b").to_numpy() @ [1, 1j] * Q8 for x in "ui")

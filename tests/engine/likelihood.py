@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fluxobs.inference.posterior import ROW_NUMBERS
 from support.compiling import build_program
 
 Array = NDArray[np.float64]
@@ -136,15 +137,7 @@ ROW = np.dtype(
     align=True,
 )
 #: A smoothed row; see engine/backward.h.
-VECTORS = ("flux", "drift")
-SMOOTHED = np.dtype(
-    [
-        (name + end, float, 2 if name in VECTORS else ())
-        for name in ("angle", "speed", "flux", "psi", "drift", "torque")
-        for end in ("", "_std")
-    ]
-    + [("innovation", float)]
-)
+SMOOTHED = np.dtype([(name, float) for name in ROW_NUMBERS])
 
 
 class _Outputs(ctypes.Structure):

@@ -6,14 +6,17 @@ import ctypes
 
 import numpy as np
 
-from engine.estimates import TOLERANCES, File, with_errors
 from engine.likelihood import Complex
-from fluxobs import InductionMachine
+from fluxobs.inference.machine_file import machine_file as own_file
+from fluxobs.inference.posterior import MAP_FIELDS, MachineFile
 from fluxobs.logs.quality.detect import Detector
 from fluxobs.logs.quality.marks import NO_MEASUREMENT
+from fluxobs.logs.scales import Scales
 from fluxobs.logs.time.aligned import Aligned
 from fluxobs.machines.rotating import RotatingMachine
-from fluxobs.smoothing.record import MAP_FIELDS
+
+#: Errors that an ideal drive does not have.
+ERRORS = ("delay_std", "iron_std", "heat_std", "offset_std", "gain_std")
 
 
 class FluxMap(ctypes.Structure):
@@ -30,21 +33,15 @@ class FluxMap(ctypes.Structure):
 
 
 def flux_map(machine: RotatingMachine, sample_time: float) -> FluxMap:
-    """Return the flux map of a machine that saturates."""
-    core = machine.map_for(sample_time, usual_flux(machine, machine.rated_current or 1.0)).core()
+    """Return the flux map of a machine that saturates, for the likelihood."""
+    core = machine_file(machine, sample_time, current=1.0).map
+    assert core is not None
     table = np.ascontiguousarray(core["coefficients"], float)
     numbers = [float(core[name]) for name in MAP_FIELDS]
     pointer = table.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
     own = FluxMap(int(core["kind"]), core["magnets"], *table.shape[:2], *numbers, pointer)
     own.table = table  # as long as the map
     return own
-
-
-def usual_flux(machine: RotatingMachine, current: float) -> float:
-    """Return the flux that usually turns with the rotor [Wb], at this rated current."""
-    flux = machine.flux_base(current, machine.magnet_flux)
-    assert flux is not None
-    return flux
 
 
 def machine_file(
@@ -54,7 +51,7 @@ def machine_file(
     current: float | None = None,
     voltage: float | None = None,
     true: dict[str, float] | None = None,
-) -> File:
+) -> MachineFile:
     """Return the file of a machine, with ordinary tolerances.
 
     Parameters
@@ -74,26 +71,22 @@ def machine_file(
     factors = true or {}
     rated = machine.rated_current or current
     assert rated is not None
-    flux, cage = usual_flux(machine, rated), isinstance(machine, InductionMachine)
-    L_d, L_q = machine.L_dq
-    psi = 0.0 if cage else machine.magnet_flux or 0.0
-    file = File(machine.R_s * factors.get("R", 1.0), L_d, L_q, psi, rated, *TOLERANCES)
-    file.psi_f *= factors.get("psi", 1.0)
-    if machine.saturation is not None:
-        file.kept = flux_map(machine, sample_time)  # as long as the file
-        file.map = ctypes.addressof(file.kept)
-        file.L_d = file.L_q = 1.0
+    flux = machine.flux_base(rated, machine.magnet_flux)
+    assert flux is not None
+    scales = Scales(rated, voltage or 1.0, 0.0, 0.0, 0.0)
+    file = own_file(machine, scales, sample_time, flux)
+    numbers = dict(file.numbers) | {"lag": lag[0], "lag_std": lag[1]}
+    if voltage is None:
+        numbers |= dict.fromkeys(ERRORS, 0.0)
+    for name in ("R", "R_R", "L_M"):
+        if name in numbers:
+            numbers[name] *= factors.get(name, 1.0)
+    for name in ("psi_f", "flux"):
+        numbers[name] *= factors.get("psi", 1.0)
     for name in ("L_d", "L_q"):
         scale = factors.get(name, factors.get("L_s", factors.get("L_sigma", 1.0)))
-        setattr(file, name, getattr(file, name) * scale)
-    file.flux = flux * factors.get("psi", 1.0)
-    if cage:
-        file.R_R, file.L_M = (
-            getattr(machine, name) * factors.get(name, 1.0) for name in ("R_R", "L_M")
-        )
-        file.cage_std = 0.3
-    file.lag, file.lag_std = lag
-    return with_errors(file, voltage)
+        numbers[name] *= scale
+    return MachineFile(numbers, file.map)
 
 
 def measured(voltage: Complex, current: Complex, sample_time: float) -> tuple[Complex, Complex]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from engine.estimates import Estimate, estimate
+from engine.estimates import estimate
 from engine.likelihood import Array, Complex
 from engine.machines import machine_file, measured
 from fluxobs.estimation.anchors import anchors_of, forwards, joined_pieces
 from fluxobs.estimation.passes import Passes
 from fluxobs.estimation.whole_log import WholeLog
+from fluxobs.inference.posterior import Posterior
 from fluxobs.logs.for_machine import open_for
 from fluxobs.machines.rotating import RotatingMachine
 from fluxobs.observers.unknowns import AUTO
@@ -68,7 +69,7 @@ def started(
     rated_current: float,
     lag: tuple[float, float],
     ordinary: bool = False,
-) -> Estimate:
+) -> Posterior:
     """Estimate a log from the angles of the observers.
 
     Parameters

@@ -8,12 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from engine.estimates import Estimate, degrees, estimate
+from engine.estimates import changed, degrees, estimate
 from engine.likelihood import INDEX, N, Start, course_of, library, settled
 from engine.likelihood import Machine as EngineMachine
 from engine.machines import flux_map, machine_file
 from engine.voltage_fed import Cage, H, Mapped, Run, run
 from fluxobs import InductionMachine, SynchronousReluctance
+from fluxobs.inference.posterior import Posterior
 from fluxobs.machines import example
 
 ROWS = 4000
@@ -75,15 +76,15 @@ WRONG = 0.08
 
 
 @cache
-def reluctance(kind: str) -> tuple[Run, Estimate]:
+def reluctance(kind: str) -> tuple[Run, Posterior]:
     """Return a run of a reluctance machine, and its estimate from a wrong file."""
     made = run(MACHINES[kind], speeds(), loads(8.0, 12.0), NOISE, seed=3)
     linear = SynchronousReluctance(R_s=0.6, L_d=42e-3, L_q=6.3e-3, n_p=2, rated_current=15.5)
     file = machine_file(linear if kind == "falling" else SATURATED, H, lag=(0.0, 0.3))
     if kind == "falling":
-        file.saturation_std = 0.2
+        file = changed(file, saturation_std=0.2)
     else:
-        file.L_d, file.L_q = np.exp(WRONG), np.exp(-WRONG)
+        file = changed(file, L_d=np.exp(WRONG), L_q=np.exp(-WRONG))
     course = made.angle + 0.1 + 0.05 * np.sin(np.arange(ROWS) / 500)
     return made, estimate(made.voltage, made.current, H, file, course)
 
@@ -107,7 +108,7 @@ def test_a_saturated_machine_without_magnets(kind):
 
 
 @cache
-def cage() -> tuple[Run, Estimate]:
+def cage() -> tuple[Run, Posterior]:
     """Return a run of a cage machine, and its estimate from a wrong file."""
     made = run(CAGE, speeds(), loads(3.5, 5.0), NOISE, seed=4)
     given = InductionMachine(

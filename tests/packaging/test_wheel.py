@@ -92,6 +92,7 @@ def test_a_wheel_contains_only_the_package(built):
         "fluxobs/_core",
         "fluxobs/_core_single",
         "fluxobs/_smoother",
+        "fluxobs/_engine",
     }
     # The files contain no path of the build machine, and no time except the release time.
     for path in (str(ROOT), str(built.wheel.parents[1]), str(Path.home()), sys.prefix, "/tmp/"):
