@@ -76,6 +76,7 @@ fo_prior fo_ordinary_prior(const fo_log *record, const fo_file *file)
     put(&p, FO_L_knee, log(0.03 * file->rated_current), 0.7);
     put(&p, FO_L_lag, file->lag, file->lag_std);
     put(&p, FO_L_delay, 0.0, file->delay_std);
+    put(&p, FO_L_rotation, file->rotation, file->rotation_std);
     put(&p, FO_L_iron_loss, 0.0, file->iron_std);
     put(&p, FO_L_heat, 0.0, file->heat_std);
     put(&p, FO_L_offset_alpha, 0.0, file->offset_std);
@@ -253,7 +254,6 @@ static void begin_learning(const learning *l, const double *angle, const double 
     const double noise = fo_first_noise(problem->log, angle, l->spare);
     const double least = l->prior.mean[FO_L_noise] - 3.0;
     p[FO_L_noise] = noise > 0.0 ? fmax(log(noise), least) : least;
-    fo_begin_unrest(problem, p);
 }
 
 /* A current that reaches the range of its sensor, as a share of the largest one; parts about rows with such a
@@ -298,7 +298,7 @@ static bool try_range(learning *l, const fo_growth *g)
     w.problem.course = l->other;
     for (int n = 0; n < 2; n++) {
         memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
-        learnt = learnt && fo_learn(&w, n ? &prior : &l->prior, fine, n ? WITH : WITHOUT, tried + n);
+        learnt = learnt && fo_learn_parts(&w, n ? &prior : &l->prior, fine, n ? WITH : WITHOUT, tried + n);
     }
     const double range = tried[1].parameters[FO_L_range];
     if (!learnt || range >= largest || tried[1].objective + saturated >= tried[0].objective) return false;
@@ -331,7 +331,7 @@ static void try_early(learning *l)
     w->problem.course = l->other;
     memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
     l->log.early = true;
-    const bool learnt = fo_learn(w, &l->prior, fine, LAST, &tried);
+    const bool learnt = fo_learn_parts(w, &l->prior, fine, LAST, &tried);
     l->posterior->evaluations = tried.evaluations;
     l->log.early = learnt && tried.objective < l->posterior->objective;
     if (l->log.early) {
@@ -341,19 +341,21 @@ static void try_early(learning *l)
     w->problem.course = l->course;
 }
 
-/* What is in samples, in those of a thinned log, or back. */
+/* What is in samples, in those of a thinned log, or back: within a longer row, the voltage turns in steps. */
 static void count_in(const fo_thinned *thin, bool back, double *parameters)
 {
     const double n = (double)thin->factor, shift = (double)thin->shift;
-    double *lag = parameters + FO_L_lag, *delay = parameters + FO_L_delay;
+    double *lag = parameters + FO_L_lag, *delay = parameters + FO_L_delay, *rotation = parameters + FO_L_rotation;
     *lag = back ? *lag * n + shift : (*lag - shift) / n;
     *delay = back ? *delay * n : *delay / n;
+    *rotation = 1.0 - (1.0 - *rotation) * (back ? n * n : 1.0 / (n * n));
 }
 
 static void scale_covariance(double factor, double *covariance)
 {
-    for (int n = 0; n < 2; n++)
-        for (int k = 0, at = n ? FO_L_delay : FO_L_lag; k < FO_UNKNOWNS; k++) {
+    static const int scaled[] = {FO_L_lag, FO_L_delay, FO_L_rotation, FO_L_rotation};
+    for (size_t n = 0; n < sizeof scaled / sizeof *scaled; n++)
+        for (int k = 0, at = scaled[n]; k < FO_UNKNOWNS; k++) {
             covariance[at * FO_UNKNOWNS + k] *= factor;
             covariance[k * FO_UNKNOWNS + at] *= factor;
         }
@@ -375,6 +377,7 @@ static bool open_thinned(const learning *l, const fo_log *log, size_t factor, th
     count_in(&t->thin, false, prior.mean);
     prior.std[FO_L_lag] /= n;
     prior.std[FO_L_delay] /= n;
+    prior.std[FO_L_rotation] /= n * n;
     t->posterior = *l->posterior;
     count_in(&t->thin, false, t->posterior.parameters);
     scale_covariance(1.0 / n, t->posterior.covariance);
@@ -403,6 +406,51 @@ static double decay_of(const fo_file *file)
     return file->map ? 0.0 : file->R / fmin(d, q);
 }
 
+/* A part as a problem. */
+static fo_problem part_of(const learning *l, const fo_part *part, fo_log *log)
+{
+    *log = fo_rows_of(&l->log, part->first, part->rows);
+    return (fo_problem){log, &l->machine, &l->start, l->course + part->first};
+}
+
+/* Evaluations with one unrest for all rows, and what they may gain in the end. Assumed. */
+enum { CALM_EVALUATIONS = 12 };
+static const double roughly = 3.0;
+
+/* Level and unrest of the acceleration, from the course of the parts. `calm`: one unrest for all rows. */
+static void begin_unrest(const learning *l, bool calm)
+{
+    const fo_work *w = &l->work;
+    double sum = 0.0, rows = 0.0;
+    for (size_t n = 0; n < w->count; n++) {
+        fo_log rows_of_part;
+        const fo_problem own = part_of(l, w->parts + n, &rows_of_part);
+        double level[FO_UNKNOWNS], squares = 0.0;
+        memcpy(level, l->posterior->parameters, sizeof level);
+        level[FO_L_acceleration] = l->prior.mean[FO_L_acceleration];
+        fo_begin_unrest(&own, level);
+        for (size_t k = 0; calm && k < own.log->rows; k++) {
+            squares += own.course[k].unrest;
+            own.course[k].unrest = 1.0;
+        }
+        if (calm) level[FO_L_acceleration] += 0.5 * log(squares / (double)own.log->rows);
+        sum += (double)own.log->rows * level[FO_L_acceleration];
+        rows += (double)own.log->rows;
+    }
+    l->posterior->parameters[FO_L_acceleration] = sum / rows;
+}
+
+/* Learns on the parts. About a course whose inductance is wrong, each load step looks like a jump of the acceleration;
+ * with an unrest that explains it, no load step would tell the inductance any more. So one unrest for all rows comes
+ * first, and that of the course it leads to then. */
+static bool learn_course(const learning *l)
+{
+    begin_unrest(l, true);
+    if (!fo_learn_parts(&l->work, &l->prior, roughly, CALM_EVALUATIONS, l->posterior)) return false;
+    begin_unrest(l, false);
+    return fo_learn_parts(&l->work, &l->prior, fine, MOST, l->posterior);
+}
+
 /* The parameters are learnt first on a part with so many rows at most. */
 enum { SEED = 4096 };
 
@@ -423,7 +471,7 @@ static fo_outcome learn_seed(const learning *l, const fo_part *part, const doubl
     for (int k = 0; k < FO_UNKNOWNS; k++) begin[k] = parameters ? parameters[k] : (double)NAN;
     count_in(&t->thin, false, begin);
     begin_learning(&t->own, l->spare, begin);
-    const bool learnt = fo_learn(&t->own.work, &t->own.prior, fine, MOST, &t->posterior);
+    const bool learnt = learn_course(&t->own);
     if (learnt) {
         take_posterior(t, l->posterior);
         fo_fill(t->own.work.problem.course, rows, factor, l->other, part->rows);
@@ -471,13 +519,6 @@ static double rows_of(const fo_growth *g)
 /* Passes of smoothing of a course that has grown. */
 enum { ROUGH = 2 };
 
-/* A part as a problem. */
-static fo_problem part_of(const learning *l, const fo_part *part, fo_log *log)
-{
-    *log = fo_rows_of(&l->log, part->first, part->rows);
-    return (fo_problem){log, &l->machine, &l->start, l->course + part->first};
-}
-
 /* The course of the parts, from their angles. A part that cannot be evaluated, or what does not fit, goes. */
 static void set_parts(learning *l, fo_growth *g, const double *parameters)
 {
@@ -508,21 +549,8 @@ static void set_parts(learning *l, fo_growth *g, const double *parameters)
 /* Learns on all parts, from what the first gave. */
 static bool learn_parts(learning *l, fo_growth *g)
 {
-    double *p = l->posterior->parameters, sum = 0.0, rows = 0.0;
-    set_parts(l, g, p);
-    if (!g->count) return false;
-    for (size_t n = 0; n < g->count; n++) {
-        fo_log log;
-        const fo_problem own = part_of(l, g->parts + n, &log);
-        double level[FO_UNKNOWNS];
-        memcpy(level, p, sizeof level);
-        level[FO_L_acceleration] = l->prior.mean[FO_L_acceleration];
-        fo_begin_unrest(&own, level);
-        sum += (double)log.rows * level[FO_L_acceleration];
-        rows += (double)log.rows;
-    }
-    p[FO_L_acceleration] = sum / rows;
-    return fo_learn(&l->work, &l->prior, fine, MOST, l->posterior);
+    set_parts(l, g, l->posterior->parameters);
+    return g->count && learn_course(l);
 }
 
 /* Parts of a log as those of a thinned one. */
@@ -621,9 +649,9 @@ static fo_outcome finish(learning *l, fo_growth *g)
     fo_cut_parts(g, l->course, rough, false);
     l->work.parts = g->parts;
     l->work.count = g->count;
-    bool learnt = fo_learn(&l->work, &l->prior, fine, LAST, l->posterior);
+    bool learnt = fo_learn_parts(&l->work, &l->prior, fine, LAST, l->posterior);
     if (learnt && fabs(log(l->posterior->mean_square)) > fitted)
-        learnt = fo_learn(&l->work, &l->prior, fine, LAST, l->posterior);
+        learnt = fo_learn_parts(&l->work, &l->prior, fine, LAST, l->posterior);
     return learnt && l->posterior->mean_square < contradicted ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }
 

@@ -36,6 +36,8 @@ typedef enum {
     NUMBER(harmonics)      /* scale of the harmonics' coefficients, as a share of the flux   */ \
     NUMBER(lag)            /* by which the voltages act later than the log says [samples]    */ \
     NUMBER(lag_std)                                                                             \
+    NUMBER(rotation)       /* share of the turn of the voltage that it makes within a row [1] */ \
+    NUMBER(rotation_std)                                                                        \
     NUMBER(delay_std)      /* by which the currents are older than the log says [samples]    */ \
     NUMBER(iron_std)       /* current of the iron loss per induced voltage [A/V]             */ \
     NUMBER(heat_std)       /* relative change of R over the log [1]                          */ \

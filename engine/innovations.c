@@ -380,17 +380,20 @@ typedef struct {
     fo_dual half[2][2];    /* X/2 − X²/12 + Y/2 */
     fo_dual M[2][2];
     fo_pair mean, middle;  /* currents of the course */
+    double swing[2];       /* second difference of the current if the voltage turns with the rotor */
     fo_signs sign;         /* of the middle one */
 } electrical;
 
 /* Mean and middle of the course's current: its ends, weighted, less a twelfth and an eighth of its second
- * difference, by which ∂i/∂θ and ∂i/∂λ turn with the rotor. */
-static void currents_of(const interval *t, electrical *e)
+ * difference, by which ∂i/∂θ and ∂i/∂λ turn with the rotor; and, as far as the voltage turns within the row, the
+ * flux bends. */
+static void currents_of(const fo_model *m, const interval *t, electrical *e)
 {
     const fo_dual step[2] = {fo_sub(t->next->terminal.a, t->at->terminal.a),
                              fo_sub(t->next->terminal.b, t->at->terminal.b)};
     const double turn = t->to->angle - t->from->angle;
     const double change[2] = {t->to->flux[A] - t->from->flux[A], t->to->flux[B] - t->from->flux[B]};
+    const double swing[2] = {-turn * t->h * t->now[B], turn * t->h * t->now[A]};
     fo_dual mean[2], middle[2];
     for (int a = 0; a < 2; a++) {
         mean[a] = a ? t->at->terminal.b : t->at->terminal.a;
@@ -399,6 +402,8 @@ static void currents_of(const interval *t, electrical *e)
         const fo_dual *from = t->at->slope[a], *to = t->next->slope[a];
         fo_dual bend = fo_scale(turn, fo_sub(to[FO_BY_ANGLE], from[FO_BY_ANGLE]));
         for (int b = 0; b < 2; b++) bend = fo_axpy(bend, change[b], fo_sub(to[b], from[b]));
+        for (int b = 0; b < 2; b++) fo_accumulate_scaled(&bend, m->rotation * swing[b], &from[b]);
+        e->swing[a] = swing[A] * from[A].d[0] + swing[B] * from[B].d[0];
         fo_accumulate_scaled(&mean[a], -1.0 / 12.0, &bend);
         fo_accumulate_scaled(&middle[a], -1.0 / 8.0, &bend);
     }
@@ -448,7 +453,7 @@ static electrical electrical_of(const fo_model *m, const interval *t)
     fo_product(&e.M[1][1], &whole[0][0], &inverse);
     e.M[0][1] = fo_scale(-1.0, fo_mul(whole[0][1], inverse));
     e.M[1][0] = fo_scale(-1.0, fo_mul(whole[1][0], inverse));
-    currents_of(t, &e);
+    currents_of(m, t, &e);
     const double middle[2] = {e.middle.a.d[0], e.middle.b.d[0]};
     e.sign = fo_signs_of(m, middle, along, t->periods);
     return e;
@@ -483,8 +488,9 @@ static cage cage_of(const fo_model *m, const interval *t)
             g.by[1][j] += c * p->by[B][j] - s * p->by[A][j];
         }
     }
-    /* The voltage is constant in stator coordinates, so the current bends in rotor coordinates: with
-     * Δλ = h λ̇, h² i'' = (−2 j h ω e^{−jθ} Δλ − (h ω)² e^{−jθ} λ)/L_σ; a twelfth of it is missing. */
+    /* If the voltage is constant in stator coordinates, the current bends in rotor coordinates: with Δλ = h λ̇,
+     * h² i'' = (−2 j h ω e^{−jθ} Δλ − (h ω)² e^{−jθ} λ)/L_σ; a twelfth of it is missing. As far as it turns within
+     * the row, j h² ω e^{−jθ} u/L_σ is added. */
     const double turn = t->to->angle - t->from->angle, middle = 0.5 * (angles[0] + angles[1]);
     const double c = cos(middle), s = sin(middle), share = 1.0 / (12.0 * m->scale[0].d[0]);
     const double *x = t->from->flux, *y = t->to->flux;
@@ -492,8 +498,11 @@ static cage cage_of(const fo_model *m, const interval *t)
                             c * (y[B] - x[B]) - s * (y[A] - x[A])};
     const double mean[2] = {0.5 * (c * (x[A] + y[A]) + s * (x[B] + y[B])),
                             0.5 * (c * (x[B] + y[B]) - s * (x[A] + y[A]))};
-    g.i_d.d[0] -= share * turn * (2.0 * step[1] - turn * mean[0]);
-    g.i_q.d[0] -= share * turn * (-2.0 * step[0] - turn * mean[1]);
+    const double u[2] = {t->h * (c * t->now[A] + s * t->now[B]), t->h * (c * t->now[B] - s * t->now[A])};
+    g.i_d.d[0] -= share * turn * (2.0 * step[1] - turn * mean[0] - m->rotation * u[1]);
+    g.i_q.d[0] -= share * turn * (-2.0 * step[0] - turn * mean[1] + m->rotation * u[0]);
+    g.by[0][FO_L_rotation - FO_FIRST_OF_MEANS] += share * turn * u[1];
+    g.by[1][FO_L_rotation - FO_FIRST_OF_MEANS] -= share * turn * u[0];
     const int iron = FO_L_iron_loss - FO_FIRST_OF_MEANS; /* its current does not reach the rotor */
     g.by[0][iron] = g.by[1][iron] = 0.0;
     return g;
@@ -670,6 +679,9 @@ static void move_means(const fo_model *m, const interval *t, const electrical *e
         own[FO_L_heat - FO_FIRST_OF_MEANS] -=
             h * t->place * m->R.d[0] * (a ? e->mean.b : e->mean.a).d[0];
         own[FO_L_loss - FO_FIRST_OF_MEANS] -= h * m->loss * e->sign.value[a];
+        own[FO_L_rotation - FO_FIRST_OF_MEANS] +=
+            h * (e->R.d[0] * e->swing[a] / 12.0 +
+                 m->loss / 8.0 * (e->sign.by_current[a][A] * e->swing[A] + e->sign.by_current[a][B] * e->swing[B]));
         own[FO_L_knee - FO_FIRST_OF_MEANS] -= h * m->loss * e->sign.by_knee[a];
         own[FO_L_lag - FO_FIRST_OF_MEANS] += h * t->late[a];
         own[FO_L_delay - FO_FIRST_OF_MEANS] += h * t->late[a];

@@ -30,6 +30,7 @@
     NAME(knee)         /* ln of the current at which the loss is 76 % of its value        [A]  */ \
     NAME(lag)          /* the voltages act later than the log says                   [samples] */ \
     NAME(delay)        /* the currents are older than the log says                   [samples] */ \
+    NAME(rotation)     /* share of the turn of the voltage that it makes within a row         [1] */ \
     NAME(iron_loss)    /* current per induced voltage                                   [A/V] */ \
     NAME(heat)         /* relative change of R from the first to the last row             [1] */ \
     NAME(rotor_resistance) /* cage: ln R_R                                               [Ω] */ \

@@ -165,6 +165,7 @@ static double longest(const fo_prior *prior, int k)
     if (k >= FO_L) return prior->harmonics;
     if (is_of_file(k)) return 0.2; /* logarithms: 20 % */
     switch (k) {
+    case FO_L_rotation:
     case FO_L_iron_loss:
     case FO_L_heat:
     case FO_L_saturation_d:
@@ -660,7 +661,7 @@ static bool accept(learner *l, double gain, bool first_steps)
     return true;
 }
 
-bool fo_learn(const fo_work *w, const fo_prior *prior, double gain, size_t most, fo_posterior *out)
+bool fo_learn_parts(const fo_work *w, const fo_prior *prior, double gain, size_t most, fo_posterior *out)
 {
     const size_t rows = w->problem.log->rows;
     fo_course *course = w->problem.course;

@@ -58,7 +58,7 @@ double fo_conflict_of(const fo_prior *prior, const fo_posterior *at);
  * `most` evaluations, until a step is expected to gain less than `gain` and the last gained little, or until some
  * steps have gained less; the best base counts. Each evaluation also gives the next course, the unrest of the
  * acceleration and the doubtful rows. False: the likelihood cannot be evaluated. */
-bool fo_learn(const fo_work *work, const fo_prior *prior, double gain, size_t most, fo_posterior *out);
+bool fo_learn_parts(const fo_work *work, const fo_prior *prior, double gain, size_t most, fo_posterior *out);
 
 /* Smooths the course at fixed parameters, so many times. A course that makes the objective larger is taken
  * back in part. */

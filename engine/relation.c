@@ -46,6 +46,7 @@ fo_model fo_model_of(const fo_machine *machine, const double p[FO_UNKNOWNS])
     m.lag = p[FO_L_lag] + p[FO_L_delay]; /* in the time of the currents */
     m.iron = p[FO_L_iron_loss];
     m.heat = p[FO_L_heat];
+    m.rotation = p[FO_L_rotation];
     m.R_R = machine->cage ? exp(p[FO_L_rotor_resistance]) : 0.0;
     m.over_L_M = machine->cage ? exp(-p[FO_L_magnetizing]) : 0.0;
     m.saturation[D] = p[FO_L_saturation_d];

@@ -36,7 +36,7 @@ typedef struct {
     fo_dual R, scale[2], psi, mobility;
     double pole, colour;
     double noise, acceleration, voltage, drift; /* variances */
-    double loss, inverse_knee, lag, iron, heat, offset[2], unequal[2], range;
+    double loss, inverse_knee, lag, rotation, iron, heat, offset[2], unequal[2], range;
     double R_R, over_L_M;      /* of a cage [Ω], [1/H] */
     double saturation[2];
     const double *harmonics;   /* two coefficients of each order */

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from engine.estimates import STRIDE, NoEstimate, degrees, estimate, file_of
+from engine.estimates import STRIDE, NoEstimate, changed, degrees, estimate, file_of
 from engine.likelihood import (
     ELEMENTS,
     INDEX,
@@ -30,6 +30,7 @@ from engine.likelihood import (
 from engine.loop import INTERIOR, SURFACE, Conditions, Record, simulated
 from engine.scores import START, parameters_of
 from fluxobs.inference.posterior import Posterior
+from fluxobs.simulation.closed_form.demo import SAMPLE_TIME, generate
 
 H = 1e-4
 #: Indices of the angle and of ψ among the states.
@@ -193,6 +194,40 @@ def test_old_currents_turn_the_angle():
     p[INDEX["lag"]], p[INDEX["delay"]] = -0.5, 0.5  # voltage and current remain together
     turned = likelihood(u, i, H, p, about, START).smoothed["angle"] - got.smoothed["angle"]
     assert turned == pytest.approx(0.5 * H * got.rows["own"][:, 3], rel=1e-9)
+
+
+@cache
+def prescribed() -> tuple[Posterior, Array]:
+    """Estimate the demonstration log up to its strongest load, and return its true angle too.
+
+    Its voltages turn with the rotor within a row, by up to 10°, and load steps change no speed.
+    """
+    columns, rows = generate(), slice(0, 5000)
+    u, i = (columns[f"{x}_alpha"] + 1j * columns[f"{x}_beta"] for x in "ui")
+    angle = np.unwrap(columns["theta_e"])[rows]
+    file = file_of(0.36, 6e-4, 6e-4, 0.0125, 12.0, lag=(0.0, 0.2), voltage=10.0)
+    return estimate(
+        u[rows],
+        i[rows],
+        SAMPLE_TIME,
+        changed(file, rotation=0.5, rotation_std=0.5),
+        angle + 0.05,
+    ), angle
+
+
+def test_a_voltage_that_turns_within_a_row():
+    """If it were constant, the current between two rows would be another."""
+    e, angle = prescribed()
+    assert abs(e.value("rotation") - 1) < 3 * e.std("rotation")
+    assert abs(e.value("loss") - np.log(0.15)) < 3 * e.std("loss")
+    assert np.sqrt(np.mean(degrees(e.rows["angle"], angle) ** 2)) < 0.3
+
+
+def test_a_wrong_first_inductance_does_not_hide_in_the_unrest():
+    """With too large an inductance, each load step looks like a jump of the acceleration."""
+    e, _ = prescribed()
+    assert abs(e.value("L_q") - np.log(6e-4)) < 3 * e.std("L_q")
+    assert e.std("L_q") < 0.02
 
 
 def test_a_load_step_does_not_spoil_the_inductance():

@@ -17,6 +17,9 @@ RESISTANCE_STD, INDUCTANCE_STD, MAGNET_STD, CAGE_STD = 0.3, 0.15, 0.15, 0.3
 GUESSED_MAGNET_STD = 0.5
 #: Standard deviations of the lag of the voltages and of the delay of the currents [samples].
 LAG_STD, DELAY_STD = 0.2, 0.2
+#: Share of the turn of the voltage that it makes within a row: 0 if an inverter's period is a row, 1
+#: if rows are much longer, or if the voltage is sinusoidal.
+ROTATION, ROTATION_STD = 0.5, 0.5
 #: Change of the resistance over the log [1]; current of the iron loss and offset of the current
 #: sensors as shares of the rated current; unequal gains of the sensors; harmonics of the flux.
 HEAT_STD, IRON_SHARE, OFFSET_SHARE, GAIN_STD, HARMONICS = 0.05, 0.02, 0.02, 0.01, 0.01
@@ -32,7 +35,6 @@ def machine_file(
     sample_time: float,
     flux_base: float,
     given: Mapping[str, float] | None = None,
-    lag_std: float = LAG_STD,
 ) -> MachineFile:
     """Return the machine file of the engine.
 
@@ -47,9 +49,7 @@ def machine_file(
         Flux that usually turns with the rotor [Wb].
     given : mapping, optional
         Standard deviations that replace the defaults; see
-        :data:`fluxobs.inference.priors.GIVEN`.
-    lag_std : float
-        Standard deviation of the lag if `given` has none [samples].
+        :data:`fluxobs.smoothing.assumptions.GIVEN`.
     """
     given = given or {}
     rated = machine.rated_current or scales.current
@@ -65,7 +65,9 @@ def machine_file(
         "rated_current": rated,
         "R_std": _relative(given.get("resistance", machine.R_s_std), machine.R_s, RESISTANCE_STD),
         "psi_std": _relative(given.get("psi_f", machine.magnet_flux_std), psi, magnet_std),
-        "lag_std": given.get("lag", lag_std),
+        "lag_std": given.get("lag", LAG_STD),
+        "rotation": ROTATION,
+        "rotation_std": ROTATION_STD,
         "delay_std": given.get("delay", DELAY_STD),
         "iron_std": given.get("iron_loss", IRON_SHARE) * rated / scales.voltage,
         "heat_std": HEAT_STD,
