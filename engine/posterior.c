@@ -51,7 +51,7 @@ static penalty penalty_at(const fo_prior *prior, const double *p, double harmoni
         const double difference = p[k] - prior->mean[k];
         const double std = prior->std[k] * (k == FO_L_iron_loss && difference < 0.0 ? below : 1.0);
         if (!(std > 0.0) || (prior->round && k == FO_L_L_q)) continue;
-        if (is_of_file(k) || k == FO_L_lag) {
+        if (!prior->normal && (is_of_file(k) || k == FO_L_lag)) {
             add_heavy(difference, std, k, &out);
             continue;
         }

@@ -14,6 +14,7 @@ typedef struct {
     double mean[FO_L], std[FO_L];
     double harmonics; /* scale of the harmonics' coefficients [Wb]; their level is estimated */
     bool round;       /* L_q is L_d */
+    bool normal;      /* no heavy tails */
 } fo_prior;
 
 typedef struct {

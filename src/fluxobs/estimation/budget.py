@@ -133,6 +133,10 @@ class Budget:
         """
         items = item_shares(shares)
         items[:, :, CALIBRATION] = scales
+        self.add_items(t, items, valid, stride)
+
+    def add_items(self, t: Array, items: Array, valid: Array, stride: int = 1) -> None:
+        """Add (n, len(QUANTITIES), len(NAMES)) variances by item; see :meth:`add`."""
         items[:, QUANTITIES.index("torque")] *= self.torque_factor**2
         self.rows += float(valid.sum())
         self.variances = self.variances + (valid[:, None, None] * items).sum(axis=0)

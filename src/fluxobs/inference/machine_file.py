@@ -12,17 +12,17 @@ from .posterior import MachineFile
 
 #: Relative standard deviations (logarithms) of values that nobody states better: R_s, L and ψ_f,
 #: all with heavy tails, R_R and L_M. Copper changes by 40 % per 100 K.
-RESISTANCE_STD, INDUCTANCE_STD, MAGNET_STD, CAGE_STD = 0.3, 0.15, 0.15, 0.3
+RESISTANCE_STD, INDUCTANCE_STD, MAGNET_STD, ROTOR_STD, MAGNETIZING_STD = 0.5, 0.1, 0.25, 0.3, 0.25
 #: The same of a magnet flux that was guessed from the log.
 GUESSED_MAGNET_STD = 0.5
 #: Standard deviations of the lag of the voltages and of the delay of the currents [samples].
-LAG_STD, DELAY_STD = 0.2, 0.2
-#: Share of the turn of the voltage that it makes within a row: 0 if an inverter's period is a row, 1
-#: if rows are much longer, or if the voltage is sinusoidal.
+LAG_STD, DELAY_STD = 0.15, 0.2
+#: Share of the turn of the voltage that it makes within a row: 0 if a row is a period of the
+#: inverter, 1 if it is much longer, or if the voltage is sinusoidal.
 ROTATION, ROTATION_STD = 0.5, 0.5
 #: Change of the resistance over the log [1]; current of the iron loss and offset of the current
 #: sensors as shares of the rated current; unequal gains of the sensors; harmonics of the flux.
-HEAT_STD, IRON_SHARE, OFFSET_SHARE, GAIN_STD, HARMONICS = 0.05, 0.02, 0.02, 0.01, 0.01
+HEAT_STD, IRON_SHARE, OFFSET_SHARE, GAIN_STD, HARMONICS = 0.05, 0.02, 0.015, 0.01, 0.015
 #: A loss of the inverter that the machine file gives without a tolerance is right within this [1].
 LOSS_STD = 0.3
 #: The least inverter voltage, as a share of the log's voltage: its logarithm must be finite.
@@ -87,8 +87,8 @@ def machine_file(
         numbers |= {
             "R_R": machine.R_R,
             "L_M": machine.L_M,
-            "R_R_std": given.get("R_R", _relative(machine.R_R_std, machine.R_R, CAGE_STD)),
-            "L_M_std": given.get("L_M", CAGE_STD),
+            "R_R_std": given.get("R_R", _relative(machine.R_R_std, machine.R_R, ROTOR_STD)),
+            "L_M_std": given.get("L_M", MAGNETIZING_STD),
         }
     numbers |= _loss(machine, scales, given.get("inverter", machine.inverter_voltage_std))
     flux_map = machine.map_for(sample_time, flux_base) if saturates else None
