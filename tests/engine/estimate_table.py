@@ -79,7 +79,7 @@ def squares(c: Conditions, drives: int) -> list[dict[str, float]]:
     rows = []
     for k, e in enumerate(done):
         known = np.isfinite(e.rows["angle"])
-        of = e.rows[known]
+        of = {name: values[known] for name, values in e.rows.items()}
         error = degrees(of["angle"], record.angle[known, k])
         speed = np.gradient(record.angle[:, k], 1e-4)[known]
         row = {
