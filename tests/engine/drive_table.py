@@ -86,8 +86,8 @@ def score(drive: Drive, truth: bool) -> Score:
     known = np.isfinite(e.rows["angle"])
     error = degrees(e.rows["angle"], drive.theta[ROWS])[known]
     std = np.degrees(e.rows["angle_std"])[known]
-    true = machine_file(machine, drive.sample_time, true=v)
-    pairs = (("resistance", true.R), ("L_q", true.L_q), ("psi_f", true.psi_f))
+    true = machine_file(machine, drive.sample_time, true=v).numbers
+    pairs = (("resistance", true["R"]), ("L_q", true["L_q"]), ("psi_f", true["psi_f"]))
     return Score(
         drive.machine,
         float(known.mean()),
@@ -95,7 +95,7 @@ def score(drive: Drive, truth: bool) -> Score:
         float(np.mean((error / std) ** 2)),
         float(np.mean(np.abs(error) < 2 * std)),
         tuple(float(100 * abs(np.exp(e.value(n)) / x - 1)) if x else 0.0 for n, x in pairs),
-        e.about["evaluations"],
+        int(e.about["evaluations"]),
     )
 
 
