@@ -184,6 +184,7 @@ typedef struct {
     fo_prior prior;
     fo_posterior *posterior;
     fo_course *course, *other;
+    bool sure; /* hints */
 } learning;
 
 static void free_learning(learning *l)
@@ -681,8 +682,9 @@ enum { COARSEST = 4 };
 enum { FEWEST = 1500 };
 static const double grown = 1.02;
 
-/* Prior–data conflict of a course that is not believed, and runs of hints that are tried, at most. */
-static const double conflicting = 35.0;
+/* Prior–data conflict from which on a course is not believed: 99 % of χ² with 18 degrees of freedom, and 90 % if the
+ * hints are not sure, for a wrong course is more probable then. And runs of hints that are tried, at most. */
+static const double conflicting = 35.0, conflicting_if_unsure = 26.0;
 enum { SEEDS = 6 };
 
 static double conflict_of(const learning *l)
@@ -690,17 +692,22 @@ static double conflict_of(const learning *l)
     return fo_conflict_of(&l->prior, l->posterior);
 }
 
+static bool is_believed(const learning *l)
+{
+    return conflict_of(l) < (l->sure ? conflicting : conflicting_if_unsure);
+}
+
 /* Learns on the longest run of hints that gives parameters which a machine may have. Other runs that were tried are
  * forgotten, and all hints if they are not sure. */
-static fo_outcome learn_seeds(const learning *l, const double *parameters, bool sure, fo_growth *g)
+static fo_outcome learn_seeds(const learning *l, const double *parameters, fo_growth *g)
 {
     for (int n = 0; n < SEEDS && fo_begin_part(g, SEED); n++) {
         const fo_part own = g->parts[0];
         const fo_outcome outcome = learn_seed(l, &own, parameters, g->angles);
         g->seed = own.first + own.rows / 2;
         if (outcome == FO_NO_MEMORY) return outcome;
-        if (outcome == FO_ESTIMATED && conflict_of(l) < conflicting) {
-            for (size_t k = 0; !sure && k < l->log.rows; k++) g->hints[k] = (double)NAN;
+        if (outcome == FO_ESTIMATED && is_believed(l)) {
+            for (size_t k = 0; !l->sure && k < l->log.rows; k++) g->hints[k] = (double)NAN;
             return outcome;
         }
         fo_forget(g, &own);
@@ -732,7 +739,7 @@ static fo_outcome learn_coarsely(learning *l, fo_growth *g)
     memcpy(l->spare, g->angles, size);
     for (;; factor = 1) {
         const fo_outcome outcome = learn_thinned(l, factor, g);
-        if (outcome != FO_ESTIMATED || factor == 1 || conflict_of(l) < conflicting) return outcome;
+        if (outcome != FO_ESTIMATED || factor == 1 || is_believed(l)) return outcome;
         *g = all;
         *l->posterior = before;
         memcpy(g->angles, l->spare, size);
@@ -740,7 +747,7 @@ static fo_outcome learn_coarsely(learning *l, fo_growth *g)
 }
 
 /* Grows the parts and learns on them, until they grow no more or what they give is no machine. */
-static fo_outcome learn_grown(learning *l, bool sure, double hinted, fo_growth *g)
+static fo_outcome learn_grown(learning *l, double hinted, fo_growth *g)
 {
     const double own = rows_of(g);
     bool again = true;
@@ -752,7 +759,7 @@ static fo_outcome learn_grown(learning *l, bool sure, double hinted, fo_growth *
         memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
         const fo_outcome outcome = learn_coarsely(l, g);
         if (outcome != FO_ESTIMATED) return outcome;
-        if (conflict_of(l) >= conflicting) {
+        if (!is_believed(l)) {
             if (n == 0) return FO_NO_ESTIMATE;
             *g = learnt;
             *l->posterior = before;
@@ -763,17 +770,17 @@ static fo_outcome learn_grown(learning *l, bool sure, double hinted, fo_growth *
     }
     const fo_outcome outcome = finish(l, g);
     if (outcome != FO_ESTIMATED) return outcome;
-    if (conflict_of(l) >= conflicting) return FO_NO_ESTIMATE;
-    return is_proven(g, sure, hinted, own) ? FO_ESTIMATED : FO_NO_ESTIMATE;
+    if (!is_believed(l)) return FO_NO_ESTIMATE;
+    return is_proven(g, l->sure, hinted, own) ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }
 
 /* The parts of the log that one set of parameters explains, and those. */
-static fo_outcome learn_log(learning *l, const double *parameters, bool sure, fo_growth *g)
+static fo_outcome learn_log(learning *l, const double *parameters, fo_growth *g)
 {
     double hinted = 0.0;
     for (size_t k = 0; k < l->log.rows; k++) hinted += isfinite(g->hints[k]) ? 1.0 : 0.0;
-    const fo_outcome outcome = learn_seeds(l, parameters, sure, g);
-    return outcome == FO_ESTIMATED ? learn_grown(l, sure, hinted, g) : outcome;
+    const fo_outcome outcome = learn_seeds(l, parameters, g);
+    return outcome == FO_ESTIMATED ? learn_grown(l, hinted, g) : outcome;
 }
 
 static bool smooth(learning *l, const fo_estimates *estimates)
@@ -803,7 +810,8 @@ fo_outcome fo_estimate_log(const fo_log *record, const fo_file *file, const doub
         g.hints[k] = angles[k];
         g.angles[k] = (double)NAN;
     }
-    if (outcome == FO_ESTIMATED) outcome = learn_log(&l, parameters, sure, &g);
+    l.sure = sure;
+    if (outcome == FO_ESTIMATED) outcome = learn_log(&l, parameters, &g);
     if (outcome == FO_ESTIMATED) {
         try_early(&l);
         if (!smooth(&l, estimates)) outcome = FO_NO_ESTIMATE;

@@ -15,6 +15,7 @@ from dataclasses import replace
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -28,7 +29,7 @@ from common import MEASURED  # noqa: E402
 from measured import LAYOUT, MACHINE, Q8  # noqa: E402
 from numbers_data import Numbers  # noqa: E402
 
-from engine.estimates import degrees  # noqa: E402
+from engine.estimates import NoEstimate, degrees  # noqa: E402
 from engine.likelihood import Array  # noqa: E402
 from engine.loop import INTERIOR, SURFACE, Conditions, simulated  # noqa: E402
 from engine.starts import rms, started  # noqa: E402
@@ -49,15 +50,26 @@ LOOPS = {
     },
     "surface, encoder, lag −1": replace(LOSSY, lag=1, bandwidth=0.2, encoder=True),
 }
-LOOP_HEADER = ("", "rms", "position", "speed", "R", "L_d", "L_q", "ψ", "mean error of L_q")
+LOOP_HEADER = (
+    *("", "with an estimate", "rms", "position", "speed", "R", "L_d", "L_q", "ψ"),
+    "mean error of L_q",
+)
 MEASURED_HEADER = ("log", "rms", "mean", "largest", "in halves", "in quarters", "L", "ψ")
 #: Rows of a measured log, of its halves and of its quarters.
 WHOLE = (0, 4000)
 PARTS = [[(k, k + n) for k in range(0, 4000, n)] for n in (2000, 1000)]
 
 
+def attempted(*arguments: Any) -> Posterior | None:
+    """Return the estimate of a drive, None without one."""
+    try:
+        return started(*arguments)
+    except NoEstimate:
+        return None
+
+
 def squares(c: Conditions, drives: int) -> list[dict[str, float]]:
-    """Return (error/σ)² of each drive, and the error of L_q in percent."""
+    """Return (error/σ)² of each drive with an estimate, and the error of L_q in percent."""
     record = simulated(c, drives, seed=11)
     given = {"R_s": 1.15 * c.R, "psi_f": 1.1 * c.psi, "n_p": 4, "rated_current": RATED}
     machine = (
@@ -71,13 +83,15 @@ def squares(c: Conditions, drives: int) -> list[dict[str, float]]:
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
         done = list(
             pool.map(
-                started,
+                attempted,
                 *(record.voltage.T, record.current.T, repeat(1e-4), repeat(machine)),
                 *(repeat(RATED), repeat((float(c.lag), 0.3))),
             )
         )
     rows = []
     for k, e in enumerate(done):
+        if e is None:
+            continue
         known = np.isfinite(e.rows["angle"])
         of = {name: values[known] for name, values in e.rows.items()}
         error = degrees(of["angle"], record.angle[known, k])
@@ -95,7 +109,7 @@ def squares(c: Conditions, drives: int) -> list[dict[str, float]]:
     return rows
 
 
-def loop_row(name: str, rows: list[dict[str, float]]) -> list[str]:
+def loop_row(name: str, rows: list[dict[str, float]], drives: int) -> list[str]:
     """Return the cells of a closed loop."""
 
     def mean(key: str) -> float:
@@ -104,6 +118,7 @@ def loop_row(name: str, rows: list[dict[str, float]]) -> list[str]:
     std = float(np.std([row["L_q error"] for row in rows]))
     return [
         name,
+        f"{len(rows)} of {drives}",
         f"{np.sqrt(np.mean([row['rms'] ** 2 for row in rows])):.2f}°",
         *(f"{mean(key):.2f}" for key in ("position", "speed", "R", "L_d", "L_q", "psi_f")),
         f"{mean('L_q error'):+.1f} ± {std / np.sqrt(len(rows)):.1f} %",
@@ -152,7 +167,7 @@ def main() -> None:
     with Numbers("estimate_table", ["engine/*.[ch]", "tests/engine/*.py"]) as numbers:
         loops = []
         for name, conditions in LOOPS.items():
-            loops.append(loop_row(name, squares(conditions, drives)))
+            loops.append(loop_row(name, squares(conditions, drives), drives))
             print("\t".join(loops[-1]), flush=True)
         numbers.table("loops", LOOP_HEADER, loops)
         numbers.value("drives", drives)
