@@ -15,8 +15,8 @@ typedef struct {
 } fo_sizes;
 extern const fo_sizes fo_log_sizes;
 
-/* Names, separated by spaces: of the parameters, the fields of fo_file and of fo_map, the numbers of a row and of a log. The
- * coefficients of the harmonics follow the parameters; their orders, each with two. */
+/* Names, separated by spaces: of the parameters, the fields of fo_file and of fo_map, the numbers of a row and of a log.
+ * Two coefficients of each harmonic follow the parameters; fo_orders names the harmonics. */
 extern const char fo_parameter_names[], fo_file_names[], fo_row_names[], fo_log_names[], fo_orders[], fo_map_fields[];
 
 typedef struct {

@@ -354,7 +354,7 @@ static void count_in(const fo_thinned *thin, bool back, double *parameters)
 
 static void scale_covariance(double factor, double *covariance)
 {
-    static const int scaled[] = {FO_L_lag, FO_L_delay, FO_L_rotation, FO_L_rotation};
+    static const int scaled[] = {FO_L_lag, FO_L_delay, FO_L_rotation, FO_L_rotation}; /* that one by its square */
     for (size_t n = 0; n < sizeof scaled / sizeof *scaled; n++)
         for (int k = 0, at = scaled[n]; k < FO_UNKNOWNS; k++) {
             covariance[at * FO_UNKNOWNS + k] *= factor;

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.arrays import Array, runs
-from ..smoothing.assumptions import ITEMS
+from ..machines import RotatingMachine
+from ..smoothing.assumptions import ITEMS, stated_items
 from ..smoothing.record import QUANTITIES, SHARES
 
 #: Stretches at the borders of two windows are one if they are closer than this [s].
@@ -106,6 +109,16 @@ class Budget:
     contradiction: str = ""
     unfit: int = 0
     wrong_inductance: float = 0.0
+
+    @classmethod
+    def for_machine(cls, machine: RotatingMachine, given: Iterable[str]) -> Self:
+        """Return an empty budget of a machine; `given` are the names of stated priors."""
+        names = machine.inductance_names
+        return cls(
+            1.5 * machine.n_p,
+            names[0] if len(names) == 1 else "",
+            stated_items(machine, given),
+        )
 
     def add_stretches(self, t: Array, doubtful: NDArray[np.bool_]) -> None:
         """Add the stretches of consecutive doubtful rows at times `t`."""

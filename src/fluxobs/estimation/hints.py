@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 from ..core.arrays import Array, runs
 from ..core.output import ahead
 from ..logs.time.aligned import Aligned, joined
-from ..observers import AdaptiveObserver, Estimate
+from ..observers import AdaptiveObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import Prepared
+from .anchors import anchored, anchors_of
 
 #: Rows that the engine needs to begin with (engine/growth.c), and the deviation of an angle that is
 #: a hint if so many rows are not valid [rad].
 FIRST_ROWS, POOR_STD = 40, 0.3
-#: If fewer rows than this share are valid in the second pass, rows with this deviation are hints
-#: too [rad].
-FEW_VALID, UNCERTAIN_STD = 0.05, np.radians(12.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,18 +99,12 @@ def hints_of(run: Prepared) -> Hints:
     if isinstance(observer, AdaptiveObserver):
         learnt = observer.learnt(first.state)
         second = forwards(run, observer.restart(first.state, frozen=True))
-    valid, known = first.known, _certain(second.known, second.estimate)
+    valid, known = first.known, anchors_of(anchored(second.samples, second.estimate))
     sure = _longest(valid) >= FIRST_ROWS
     if not sure and _longest(known) < FIRST_ROWS:
         known = known | (second.estimate.theta_e_std < POOR_STD)
     other = np.where(known, second.estimate.theta_e, np.nan)
     return Hints(np.where(valid, first.estimate.theta_e, other), sure, first, learnt)
-
-
-def _certain(known: NDArray[np.bool_], estimate: Estimate) -> NDArray[np.bool_]:
-    if known.sum() < FEW_VALID * len(known):
-        known = known | (estimate.theta_e_std < UNCERTAIN_STD)
-    return known
 
 
 def _longest(known: NDArray[np.bool_]) -> int:

@@ -26,7 +26,7 @@ from ..machines.model.frames import wrap
 from ..observers import AdaptiveObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import Prepared
-from ..smoothing.assumptions import Calibration, stated_items, with_scale
+from ..smoothing.assumptions import Calibration, with_scale
 from ..smoothing.estimate import SmoothedEstimate, trusted
 from .budget import CALIBRATION, NAMES, Budget
 from .columns import EstimateRows, rows_of
@@ -64,12 +64,7 @@ class PosteriorLog:
         self.run, self.priors, self.count, self.shifts = run, priors, count, shifts
         self.machine: RotatingMachine = run.machine
         self.calibration = Calibration.of(priors)
-        names = self.machine.inductance_names
-        self.budget = Budget(
-            1.5 * self.machine.n_p,
-            names[0] if len(names) == 1 else "",
-            stated_items(self.machine, priors),
-        )
+        self.budget = Budget.for_machine(self.machine, priors)
         self.posterior: Posterior | None = None
         self.shift = 0
         self.weights: dict[int, float] = {}

@@ -23,7 +23,7 @@ from ..observers import AdaptiveObserver, LeastSquaresObserver
 from ..observers.adaptive import Learnt
 from ..observers.for_log import LEAST_NOISE, Prepared
 from ..observers.outputs import outputs
-from ..smoothing.assumptions import Calibration, stated_items, with_scale
+from ..smoothing.assumptions import Calibration, with_scale
 from ..smoothing.estimate import SmoothedEstimate, smoothed_estimate
 from ..smoothing.record import (
     QUANTITIES,
@@ -141,12 +141,7 @@ class WholeLog:
         self.calibration = Calibration.of(priors)
         self.long = len(run.log) > WINDOW_ROWS + 2 * OVERLAP_ROWS
         self.starts = Starts(run, learnt, in_parts=not self.long)
-        names = self.machine.inductance_names
-        self.budget = Budget(
-            1.5 * self.machine.n_p,
-            names[0] if len(names) == 1 else "",
-            stated_items(self.machine, priors),
-        )
+        self.budget = Budget.for_machine(self.machine, priors)
         self.model: SmoothingModel | None = None
         self.hypotheses = [
             Hypothesis(

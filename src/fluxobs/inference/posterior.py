@@ -22,8 +22,6 @@ UNKNOWNS: tuple[str, ...] = (
     *_engine.parameters.split(),
     *(f"harmonic_{order}_{part}" for order in ORDERS for part in ("d", "q")),
 )
-#: The first of them, which change covariances only.
-LEVELS: tuple[str, ...] = UNKNOWNS[: _engine.levels]
 INDEX: dict[str, int] = {name: n for n, name in enumerate(UNKNOWNS)}
 #: Fields of a flux map.
 MAP_FIELDS: tuple[str, ...] = tuple(_engine.map_fields.split())
