@@ -66,6 +66,7 @@ typedef struct {
     const fo_model *m;
     fo_elements elements;
     bool sensitive;         /* derivatives of the states are wanted */
+    bool of_course;         /* those of the course, without those of F and H times the state's distance from it */
     by_variance *variances; /* or null */
     size_t skipped;
     fo_likelihood *out;     /* or null */
@@ -288,8 +289,10 @@ static bool measure(const pass *q, const double measured[2], double rounding, co
             fo_accumulate_scaled(&e, -d[k], &z->H[a][k]);
         }
         z->e[a] = e.d[0] - f->x[FO_NOISE + a];
+        for (int k = 0; q->of_course && k < FO_BY; k++) fo_accumulate_scaled(&e, d[k], &z->H[a][k]);
         memcpy(z->by_model[a], e.d + 1, sizeof z->by_model[a]);
     }
+    if (q->of_course) z->angle = 0.0;
     times_slope(f->P, H, PH);
     for (int a = 0; a < 2; a++)
         for (int b = a; b < 2; b++) {
@@ -762,6 +765,24 @@ static void move_variances(const pass *q, const update *z, const double residual
     }
 }
 
+/* Takes the derivatives of the transition, times the state's distance from the course, from those of the states. */
+static void leave_course(const pass *q, const interval *t, const fo_filter *f, const transition *F,
+                         double next[S][FO_SENSITIVE])
+{
+    double d[S] = {0.0};
+    for (int a = 0; a < 2; a++) {
+        d[FO_FLUX + a] = f->x[FO_FLUX + a] - t->from->flux[a];
+        d[FO_DRIFT + a] = f->x[FO_DRIFT + a];
+    }
+    d[FO_ANGLE] = f->x[FO_ANGLE] - t->from->angle;
+    d[FO_SPEED] = f->x[FO_SPEED] - (t->to->angle - t->from->angle) / t->h;
+    d[FO_PSI] = f->x[FO_PSI] - t->from->psi;
+    for (int n = 0; n < q->elements.count && q->elements.at[n] < FO_BENT; n++) {
+        const int k = q->elements.at[n], r = fo_pattern[k][0];
+        for (int j = 0; j < FO_T; j++) next[r][MODEL + j] -= d[fo_pattern[k][1]] * F->bent[k].d[1 + j];
+    }
+}
+
 /* Time update over an interval; `z`: the measurement before it, or null. `residual`: what it left. */
 static void advance(const pass *q, const interval *t, const update *z, const double residual[2],
                     fo_filter *f, transition *F)
@@ -791,10 +812,11 @@ static void advance(const pass *q, const interval *t, const update *z, const dou
             if (!z) continue;
             own[GAIN] += residual[a];
             fo_dual i = a ? t->at->measured.b : t->at->measured.a;
-            for (int k = 0; k < FO_BY; k++) fo_accumulate_scaled(&i, d[k], &z->H[a][k]);
+            for (int k = 0; !q->of_course && k < FO_BY; k++) fo_accumulate_scaled(&i, d[k], &z->H[a][k]);
             i = fo_scale(-m->colour, i);
             add_of_model(own, &i);
         }
+        if (q->of_course) leave_course(q, t, f, F, next);
         memcpy(f->by, next, sizeof next);
     }
     if (q->variances) move_variances(q, z, residual, F->F, f);
@@ -966,12 +988,13 @@ bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOW
               .m = &m,
               .elements = fo_elements_of(&m),
               .sensitive = detail > FO_OBJECTIVE,
+              .of_course = detail == FO_OF_COURSE,
               .skipped = problem->start->skipped,
               .out = out};
     fo_filter f;
     start_at(problem, &m, &f);
     memset(out, 0, sizeof *out);
-    if (detail == FO_OF_ALL) {
+    if (detail >= FO_OF_ALL) {
         memset(by, 0, sizeof by);
         for (int r = FO_NOISE; r < S; r++) {
             by[FO_L_noise].P[r][r] = 2.0 * f.P[r][r];
@@ -1003,7 +1026,8 @@ void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
               .course = course,
               .m = &m,
               .elements = fo_elements_of(&m),
-              .sensitive = sensitive};
+              .sensitive = sensitive,
+              .of_course = true};
     fo_filter f = *from;
     fo_prediction predictions[2];
     predictions[0] = prediction_at(&q, &f);

@@ -130,7 +130,8 @@ size_t fo_checkpoints(size_t rows);
 typedef enum {
     FO_OBJECTIVE,
     FO_OF_THE_MODEL, /* score and information of the parameters of model and means */
-    FO_OF_ALL        /* information of levels and colour; costs as much as the rest */
+    FO_OF_ALL,       /* information of levels and colour; costs as much as the rest */
+    FO_OF_COURSE     /* as before, but the information is that of the course; no score */
 } fo_detail;
 
 /* Objective, score and information at the parameters: FO_L, then two coefficients of each harmonic [Wb].

@@ -701,7 +701,7 @@ bool fo_learn_parts(const fo_work *w, const fo_prior *prior, double gain, size_t
 bool fo_smooth_parts(const fo_work *w, const fo_prior *prior, fo_posterior *out, const fo_estimates *estimates)
 {
     fo_likelihood last;
-    if (!sum_innovations(w, out->parameters, FO_OF_ALL, &last) || !fo_covariance(&last, prior, out))
+    if (!sum_innovations(w, out->parameters, FO_OF_COURSE, &last) || !fo_covariance(&last, prior, out))
         return false;
     for (size_t n = 0; n < w->count; n++) {
         part own;

@@ -28,9 +28,11 @@ from engine.likelihood import (
     settled,
 )
 from engine.loop import INTERIOR, SURFACE, Conditions, Record, simulated
+from engine.machines import machine_file
 from engine.scores import START, parameters_of
 from fluxobs.inference.posterior import Posterior
 from fluxobs.simulation.closed_form.demo import SAMPLE_TIME, generate
+from support.records import SERVO, steady
 
 H = 1e-4
 #: Indices of the angle and of ψ among the states.
@@ -228,6 +230,19 @@ def test_a_wrong_first_inductance_does_not_hide_in_the_unrest():
     e, _ = prescribed()
     assert abs(e.value("L_q") - np.log(6e-4)) < 3 * e.std("L_q")
     assert e.std("L_q") < 0.02
+
+
+def test_a_steady_log_hardly_tells_the_resistance():
+    """At one speed and one current, voltages tell R i + ωψ only: the priors tell R from ψ.
+
+    The errors of the filter's first rows times the derivatives of its transition are no information.
+    """
+    s = steady(SERVO, H, 500.0, 2500, 6j, 0.1, -0.1, noise=0.02)
+    file = machine_file(SERVO, H, current=12.0, voltage=8.0)
+    e = estimate(s.voltage @ [1, 1j], s.current @ [1, 1j], H, file, np.unwrap(s.theta))
+    assert e.std("resistance") > 0.1
+    for name, true in (("resistance", SERVO.R_s), ("psi_f", SERVO.magnet_flux)):
+        assert abs(e.value(name) - np.log(true)) < 4 * e.std(name)
 
 
 def test_a_load_step_does_not_spoil_the_inductance():
