@@ -342,6 +342,84 @@ static void try_early(learning *l)
     w->problem.course = l->course;
 }
 
+/* Values of the machine file. */
+static const int of_file[] = {FO_L_resistance, FO_L_L_d, FO_L_L_q, FO_L_psi_f};
+enum { OF_FILE = 4 };
+
+/* Free values of the file, with the steps by which they differ from it. */
+typedef struct {
+    int count, at[OF_FILE];
+    double step[OF_FILE];
+} file_values;
+
+static file_values values_of(const learning *l)
+{
+    file_values v = {0, {0}, {0.0}};
+    for (int n = 0; n < OF_FILE; n++) {
+        const int k = of_file[n];
+        if (!(l->prior.std[k] > 0.0) || (l->prior.round && k == FO_L_L_q)) continue;
+        v.at[v.count] = k;
+        v.step[v.count++] = l->posterior->parameters[k] - l->prior.mean[k];
+    }
+    return v;
+}
+
+/* Half squares by which exact values of the file may explain the log worse, if they are as probable as others: other
+ * values are spread over the prior, and the log leaves these over the posterior (Occam factor). `expected`: how many
+ * they are, from the covariance. False: it is singular. */
+static bool margin_of(const learning *l, const file_values *v, double *margin, double *expected)
+{
+    double R[OF_FILE][OF_FILE], x[OF_FILE];
+    *margin = *expected = 0.0;
+    for (int r = 0; r < v->count; r++) {
+        x[r] = v->step[r];
+        for (int c = 0; c <= r; c++) {
+            double sum = l->posterior->covariance[v->at[r] * FO_UNKNOWNS + v->at[c]];
+            for (int k = 0; k < c; k++) sum -= R[r][k] * R[c][k];
+            if (r == c && !(sum > 0.0)) return false;
+            R[r][c] = r == c ? sqrt(sum) : sum / R[c][c];
+            if (c < r) x[r] -= R[r][c] * x[c];
+        }
+        x[r] /= R[r][r];
+        *expected += 0.5 * x[r] * x[r];
+        *margin += log(l->prior.std[v->at[r]] / R[r][r]);
+    }
+    return true;
+}
+
+/* Half squares that exact values may cost by the covariance, which is that of a linear model; evaluations of them, the
+ * first and the others; and half squares that the others may gain. Assumed. */
+static const double misjudged = 2000.0, hopeful = 50.0;
+enum { AS_FILED = 8, MORE = 30 };
+
+/* Is the machine that of the file, exactly? A log that hardly tells a value from another one leaves both where the
+ * search for levels and unrest has led them. */
+static void try_file(learning *l)
+{
+    const file_values v = values_of(l);
+    double margin, expected;
+    fo_posterior tried = *l->posterior;
+    fo_prior exact = l->prior;
+    if (!v.count || !fo_course_covariance(&l->work, &l->prior, l->posterior)) return;
+    if (!margin_of(l, &v, &margin, &expected) || expected > misjudged) return;
+    for (int n = 0; n < OF_FILE; n++) {
+        exact.std[of_file[n]] = 0.0;
+        tried.parameters[of_file[n]] = l->prior.mean[of_file[n]];
+    }
+    l->work.problem.course = l->other;
+    memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
+    const double limit = l->posterior->objective + margin;
+    bool learnt = fo_learn_parts(&l->work, &exact, fine, AS_FILED, &tried);
+    if (learnt && !tried.converged && tried.objective < limit + hopeful)
+        learnt = fo_learn_parts(&l->work, &exact, fine, MORE, &tried);
+    l->posterior->evaluations = tried.evaluations;
+    if (learnt && tried.objective < limit) {
+        *l->posterior = tried;
+        exchange_courses(l);
+    }
+    l->work.problem.course = l->course;
+}
+
 /* What is in samples, in those of a thinned log, or back: within a longer row, the voltage turns in steps. */
 static void count_in(const fo_thinned *thin, bool back, double *parameters)
 {
@@ -671,6 +749,7 @@ static fo_outcome finish(learning *l, fo_growth *g)
     bool learnt = fo_learn_parts(&l->work, &l->prior, fine, LAST, l->posterior);
     if (learnt && fabs(log(l->posterior->mean_square)) > fitted)
         learnt = fo_learn_parts(&l->work, &l->prior, fine, LAST, l->posterior);
+    if (learnt) try_file(l);
     return learnt && l->posterior->mean_square < contradicted ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }
 

@@ -698,11 +698,15 @@ bool fo_learn_parts(const fo_work *w, const fo_prior *prior, double gain, size_t
     return true;
 }
 
-bool fo_smooth_parts(const fo_work *w, const fo_prior *prior, fo_posterior *out, const fo_estimates *estimates)
+bool fo_course_covariance(const fo_work *w, const fo_prior *prior, fo_posterior *out)
 {
     fo_likelihood last;
-    if (!sum_innovations(w, out->parameters, FO_OF_COURSE, &last) || !fo_covariance(&last, prior, out))
-        return false;
+    return sum_innovations(w, out->parameters, FO_OF_COURSE, &last) && fo_covariance(&last, prior, out);
+}
+
+bool fo_smooth_parts(const fo_work *w, const fo_prior *prior, fo_posterior *out, const fo_estimates *estimates)
+{
+    if (!fo_course_covariance(w, prior, out)) return false;
     for (size_t n = 0; n < w->count; n++) {
         part own;
         part_of(w, n, &own);

@@ -65,6 +65,9 @@ bool fo_learn_parts(const fo_work *work, const fo_prior *prior, double gain, siz
  * back in part. */
 bool fo_settle(const fo_work *work, const double *parameters, int passes);
 
+/* Covariance of the parameters, from the information of the course. False: the likelihood cannot be evaluated. */
+bool fo_course_covariance(const fo_work *work, const fo_prior *prior, fo_posterior *out);
+
 /* Estimates of a log: an element for each row, and shares of the variances of every `stride`-th one, or null. */
 typedef struct {
     fo_smoothed *rows;

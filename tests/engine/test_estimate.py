@@ -31,6 +31,7 @@ from engine.loop import INTERIOR, SURFACE, Conditions, Record, simulated
 from engine.machines import machine_file
 from engine.scores import START, parameters_of
 from fluxobs.inference.posterior import Posterior
+from fluxobs.machines import SurfacePMSM
 from fluxobs.simulation.closed_form.demo import SAMPLE_TIME, generate
 from support.records import SERVO, steady
 
@@ -235,14 +236,30 @@ def test_a_wrong_first_inductance_does_not_hide_in_the_unrest():
 def test_a_steady_log_hardly_tells_the_resistance():
     """At one speed and one current, voltages tell R i + ωψ only: the priors tell R from ψ.
 
-    The errors of the filter's first rows times the derivatives of its transition are no information.
+    Errors of the filter times derivatives of its transition are no information about them.
     """
-    s = steady(SERVO, H, 500.0, 2500, 6j, 0.1, -0.1, noise=0.02)
-    file = machine_file(SERVO, H, current=12.0, voltage=8.0)
-    e = estimate(s.voltage @ [1, 1j], s.current @ [1, 1j], H, file, np.unwrap(s.theta))
+    e = of_steady(SERVO)
     assert e.std("resistance") > 0.1
     for name, true in (("resistance", SERVO.R_s), ("psi_f", SERVO.magnet_flux)):
         assert abs(e.value(name) - np.log(true)) < 4 * e.std(name)
+
+
+def test_what_a_log_hardly_tells_stays_as_in_the_file():
+    e = of_steady(SERVO)
+    for name, true in (("resistance", SERVO.R_s), ("L_d", SERVO.L_s), ("psi_f", SERVO.psi_f)):
+        assert e.value(name) == np.log(true)
+
+
+def test_a_wrong_value_does_not_stay_although_the_others_are_hardly_told():
+    e = of_steady(SERVO.scaled(["psi_f"], 1.5))
+    assert abs(e.value("psi_f") - np.log(SERVO.psi_f)) < 4 * e.std("psi_f")
+
+
+def of_steady(machine: SurfacePMSM) -> Posterior:
+    """Estimate a log of the servo at constant speed and current, with the file of `machine`."""
+    s = steady(SERVO, H, 500.0, 2500, 6j, 0.1, -0.1, noise=0.02)
+    file = machine_file(machine, H, current=12.0, voltage=8.0)
+    return estimate(s.voltage @ [1, 1j], s.current @ [1, 1j], H, file, np.unwrap(s.theta))
 
 
 def test_a_load_step_does_not_spoil_the_inductance():
