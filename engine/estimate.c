@@ -308,8 +308,8 @@ static bool try_range(learning *l, const fo_growth *g)
     return true;
 }
 
-/* Evaluations of all rows after those of the thinned log, at most. They are made once more while the mean square is
- * not one within this (ln), for then the levels are not right yet. */
+/* Evaluations of all rows after those of the thinned log, at most. They are made once more if there is more to gain, or
+ * if the mean square is not one within this (ln), for then the levels are not right yet. */
 enum { LAST = 5 };
 static const double fitted = 0.1;
 /* Mean square from which on the innovations contradict their covariance. Assumed. */
@@ -346,69 +346,98 @@ static void try_early(learning *l)
 static const int of_file[] = {FO_L_resistance, FO_L_L_d, FO_L_L_q, FO_L_psi_f};
 enum { OF_FILE = 4 };
 
-/* Free values of the file, with the steps by which they differ from it. */
+/* Values that are held as in the file, with the steps by which they differ from it. */
 typedef struct {
     int count, at[OF_FILE];
     double step[OF_FILE];
-} file_values;
+} held_values;
 
-static file_values values_of(const learning *l)
+static held_values stated_values(const learning *l)
 {
-    file_values v = {0, {0}, {0.0}};
+    held_values v = {0, {0}, {0.0}};
     for (int n = 0; n < OF_FILE; n++) {
         const int k = of_file[n];
-        if (!(l->prior.std[k] > 0.0) || (l->prior.round && k == FO_L_L_q)) continue;
+        const bool stated = l->prior.std[k] > 0.0 && !(k == FO_L_psi_f && l->file->guessed > 0.0);
+        if (!stated || (l->prior.round && k == FO_L_L_q)) continue;
         v.at[v.count] = k;
         v.step[v.count++] = l->posterior->parameters[k] - l->prior.mean[k];
     }
     return v;
 }
 
-/* Half squares by which exact values of the file may explain the log worse, if they are as probable as others: other
- * values are spread over the prior, and the log leaves these over the posterior (Occam factor). `expected`: how many
- * they are, from the covariance. False: it is singular. */
-static bool margin_of(const learning *l, const file_values *v, double *margin, double *expected)
+/* Cholesky factor of the covariance of the held values. False: it is singular. */
+static bool factor_held(const double *covariance, const held_values *v, double R[OF_FILE][OF_FILE])
 {
-    double R[OF_FILE][OF_FILE], x[OF_FILE];
-    *margin = *expected = 0.0;
-    for (int r = 0; r < v->count; r++) {
-        x[r] = v->step[r];
+    for (int r = 0; r < v->count; r++)
         for (int c = 0; c <= r; c++) {
-            double sum = l->posterior->covariance[v->at[r] * FO_UNKNOWNS + v->at[c]];
+            double sum = covariance[v->at[r] * FO_UNKNOWNS + v->at[c]];
             for (int k = 0; k < c; k++) sum -= R[r][k] * R[c][k];
             if (r == c && !(sum > 0.0)) return false;
             R[r][c] = r == c ? sqrt(sum) : sum / R[c][c];
-            if (c < r) x[r] -= R[r][c] * x[c];
         }
-        x[r] /= R[r][r];
-        *expected += 0.5 * x[r] * x[r];
-        *margin += log(l->prior.std[v->at[r]] / R[r][r]);
-    }
     return true;
 }
 
-/* Half squares that exact values may cost by the covariance, which is that of a linear model; evaluations of them, the
- * first and the others; and half squares that the others may gain. Assumed. */
-static const double misjudged = 2000.0, hopeful = 50.0;
-enum { AS_FILED = 8, MORE = 30 };
+/* Evidence against values of the file that convinces: 20 to 1 (ln). */
+static const double convincing = 3.0;
 
-/* Is the machine that of the file, exactly? A log that hardly tells a value from another one leaves both where the
- * search for levels and unrest has led them. */
-static void try_file(learning *l)
+/* Half squares by which exact values of the file may explain the log worse: other values are spread over the prior, and
+ * the log leaves these over the posterior (Occam factor). */
+static double margin_of(const learning *l, const held_values *v, double R[OF_FILE][OF_FILE])
 {
-    const file_values v = values_of(l);
-    double margin, expected;
+    double sum = convincing;
+    for (int r = 0; r < v->count; r++) sum += log(l->prior.std[v->at[r]] / R[r][r]);
+    return sum;
+}
+
+/* Parameters with the values of the file; the others, but levels and colour, have their means if these are given.
+ * Voltages are linear in the values, of which the parameters are logarithms. Returns the half squares that it should
+ * cost. */
+static double hold(const learning *l, const held_values *v, double R[OF_FILE][OF_FILE], double *p)
+{
+    const double *C = l->posterior->covariance;
+    double x[OF_FILE], shift[FO_UNKNOWNS] = {0.0}, cost = 0.0;
+    for (int r = 0; r < v->count; r++) {
+        x[r] = expm1(-v->step[r]);
+        for (int c = 0; c < r; c++) x[r] -= R[r][c] * x[c];
+        x[r] /= R[r][r];
+        cost += 0.5 * x[r] * x[r];
+    }
+    for (int r = v->count - 1; r >= 0; r--) {
+        for (int k = r + 1; k < v->count; k++) x[r] -= R[k][r] * x[k];
+        x[r] /= R[r][r];
+        for (int k = FO_VARIANCES; k < FO_UNKNOWNS; k++) shift[k] += C[k * FO_UNKNOWNS + v->at[r]] * x[r];
+    }
+    for (int k = FO_VARIANCES; k < FO_UNKNOWNS; k++) p[k] += shift[k];
+    for (int n = 0; n < OF_FILE; n++) {
+        const int k = of_file[n];
+        p[k] += log1p(fmax(shift[k], -0.9)) - shift[k];
+    }
+    for (int n = 0; n < v->count; n++) p[v->at[n]] = l->prior.mean[v->at[n]];
+    if (l->prior.round) p[FO_L_L_q] = p[FO_L_L_d];
+    return cost;
+}
+
+/* Evaluations of exact values, the first and the others, and half squares that the others may gain. Exact values that
+ * should cost so many margins are not tried: what has been learnt is hardly a poor minimum. Assumed. */
+enum { AS_FILED = 10, MORE = 30 };
+static const double hopeful = 50.0, hopeless = 3.0;
+
+/* Are these values those of the file, exactly? If they explain the log as well, they count from now on; or better, if
+ * that should have cost more. */
+static void try_held(learning *l, const held_values *v)
+{
+    double R[OF_FILE][OF_FILE];
     fo_posterior tried = *l->posterior;
     fo_prior exact = l->prior;
-    if (!v.count || !fo_course_covariance(&l->work, &l->prior, l->posterior)) return;
-    if (!margin_of(l, &v, &margin, &expected) || expected > misjudged) return;
-    for (int n = 0; n < OF_FILE; n++) {
-        exact.std[of_file[n]] = 0.0;
-        tried.parameters[of_file[n]] = l->prior.mean[of_file[n]];
-    }
+    if (!v->count || !factor_held(l->posterior->covariance, v, R)) return;
+    const double margin = margin_of(l, v, R), cost = hold(l, v, R, tried.parameters);
+    const double limit = l->posterior->objective + (cost < margin ? margin : 0.0);
+    if (cost > hopeless * margin) return;
+    for (int n = 0; n < v->count; n++) exact.std[v->at[n]] = 0.0;
+    if (exact.round) exact.std[FO_L_L_q] = exact.std[FO_L_L_d];
     l->work.problem.course = l->other;
     memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
-    const double limit = l->posterior->objective + margin;
     bool learnt = fo_learn_parts(&l->work, &exact, fine, AS_FILED, &tried);
     if (learnt && !tried.converged && tried.objective < limit + hopeful)
         learnt = fo_learn_parts(&l->work, &exact, fine, MORE, &tried);
@@ -418,6 +447,19 @@ static void try_file(learning *l)
         exchange_courses(l);
     }
     l->work.problem.course = l->course;
+}
+
+/* A value that differs from the file by more of its prior's standard deviations is wrong. */
+static const double wrong = 3.0;
+
+/* A log that hardly tells a value from another one leaves both where the search for levels and unrest has led them. So
+ * it is asked whether the file is exact. */
+static void try_file(learning *l)
+{
+    const held_values v = stated_values(l);
+    for (int n = 0; n < v.count; n++)
+        if (fabs(v.step[n]) > wrong * l->prior.std[v.at[n]]) return;
+    if (fo_course_covariance(&l->work, &l->prior, l->posterior)) try_held(l, &v);
 }
 
 /* What is in samples, in those of a thinned log, or back: within a longer row, the voltage turns in steps. */
@@ -747,7 +789,7 @@ static fo_outcome finish(learning *l, fo_growth *g)
     l->work.parts = g->parts;
     l->work.count = g->count;
     bool learnt = fo_learn_parts(&l->work, &l->prior, fine, LAST, l->posterior);
-    if (learnt && fabs(log(l->posterior->mean_square)) > fitted)
+    if (learnt && (!l->posterior->converged || fabs(log(l->posterior->mean_square)) > fitted))
         learnt = fo_learn_parts(&l->work, &l->prior, fine, LAST, l->posterior);
     if (learnt) try_file(l);
     return learnt && l->posterior->mean_square < contradicted ? FO_ESTIMATED : FO_NO_ESTIMATE;

@@ -21,6 +21,7 @@ typedef enum {
     NUMBER(L_d)            /* [H] or [1]                                                     */ \
     NUMBER(L_q)                                                                                 \
     NUMBER(psi_f)          /* of magnets [Wb]                                                */ \
+    NUMBER(guessed)        /* 1: psi_f is not stated, but guessed from the log               */ \
     NUMBER(rated_current)  /* [A]                                                            */ \
     NUMBER(R_std)                                                                               \
     NUMBER(L_d_std)                                                                             \

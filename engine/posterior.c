@@ -8,8 +8,9 @@ enum { MOST = FO_UNKNOWNS };
 /* Assumed: one machine file in twenty describes another machine, and its errors are five times as
  * large. */
 static const double other_machines = 0.05, wider = 5.0;
-/* Iron does not deliver power: its loss is hardly below zero, by this share of its std. */
-static const double below = 0.1;
+/* Iron does not deliver power: its loss is hardly below zero, by this share of its std. And a simulated drive lacks
+ * errors that others have: the logarithm of a level may be below its mean by so many times its std. */
+static const double below = 0.1, calm = 4.0;
 /* The level of the harmonics has an inverse gamma prior. It counts like two coefficients, each a
  * tenth of the scale. */
 static const double harmonics_weight = 2.0, harmonics_share = 0.1;
@@ -39,6 +40,11 @@ static void add_heavy(double difference, double std, int k, penalty *out)
     out->curvature[k] = stiffness;
 }
 
+static bool is_level(int k)
+{
+    return k < FO_LEVELS;
+}
+
 static bool is_of_file(int k)
 {
     return k == FO_L_resistance || k == FO_L_L_d || k == FO_L_L_q || k == FO_L_psi_f;
@@ -49,7 +55,8 @@ static penalty penalty_at(const fo_prior *prior, const double *p, double harmoni
     penalty out = {0.0, {0.0}, {0.0}};
     for (int k = 0; k < FO_L; k++) {
         const double difference = p[k] - prior->mean[k];
-        const double std = prior->std[k] * (k == FO_L_iron_loss && difference < 0.0 ? below : 1.0);
+        const double less = k == FO_L_iron_loss ? below : is_level(k) ? calm : 1.0;
+        const double std = prior->std[k] * (difference < 0.0 ? less : 1.0);
         if (!(std > 0.0) || (prior->round && k == FO_L_L_q)) continue;
         if (!prior->normal && (is_of_file(k) || k == FO_L_lag)) {
             add_heavy(difference, std, k, &out);
@@ -333,11 +340,6 @@ static double doubt_penalty(const fo_course *course, size_t rows)
     for (size_t k = 0; k < rows; k++)
         if (course[k].doubt != 1.0) sum += 1.0 / course[k].doubt - 1.0 + log(course[k].doubt);
     return 0.5 * freedom * sum;
-}
-
-static bool is_level(int k)
-{
-    return k < FO_LEVELS;
 }
 
 /* Last step of a parameter whose information is far from its curvature where the log hardly determines
