@@ -55,13 +55,16 @@ def test_what_is_learnt_is_true(demo):
     assert abs(error) < 3 * std < 0.15
     assert learnt.offset == pytest.approx(CURRENT_OFFSET, abs=3 * max(learnt.offset_std))
     drift = [rows.columns[f"drift_{axis}"].mean() for axis in ("alpha", "beta")]
-    assert drift == pytest.approx(VOLTAGE_OFFSET, abs=3 * rows.columns["drift_std"].mean())
+    needed = [-offset for offset in VOLTAGE_OFFSET]
+    assert drift == pytest.approx(needed, abs=3 * rows.columns["drift_std"].mean())
 
 
 def test_the_items_of_the_budget_add_up(demo):
     whole, rows, _ = demo
     total = np.sqrt((rows.columns["theta_e_std"] ** 2).mean())
+    shown = np.sqrt(sum(item.std**2 for item in whole.budget.contributions))
     assert whole.budget.std == pytest.approx(total, rel=0.01)
+    assert shown == pytest.approx(total, rel=0.01)
 
 
 @pytest.mark.parametrize("wrong", [0, 1, -1])

@@ -221,7 +221,8 @@ class PosteriorLog:
             theta_e_std=row["angle_std"],
             speed_e=speed,
             speed_e_std=speed_std,
-            drift=np.stack([row["drift_alpha"], row["drift_beta"]], axis=1),
+            # What the flux needs besides the log's voltages; the engine has their error.
+            drift=-np.stack([row["drift_alpha"], row["drift_beta"]], axis=1),
             drift_std=np.hypot(row["drift_alpha_std"], row["drift_beta_std"]) / np.sqrt(2),
             resistance=resistance,
             resistance_std=np.asarray(with_scale(own_std, resistance, scale.ratio)),
@@ -249,7 +250,7 @@ class PosteriorLog:
         samples: Aligned,
     ) -> None:
         stride, count = posterior.stride, len(known)
-        items = shares_by_item(posterior.shares, NAMES)
+        items = shares_by_item(posterior.shares, NAMES, bool(self.budget.inductance))
         scale = self.calibration
         flux, torque = estimate.flux[::stride], estimate.torque[::stride]
         items[:, QUANTITIES.index("flux"), CALIBRATION] = (

@@ -31,13 +31,16 @@ ITEM_UNKNOWNS: dict[str, tuple[str, ...]] = {
 }
 
 
-def shares_by_item(shares: Array, names: tuple[str, ...]) -> Array:
+def shares_by_item(shares: Array, names: tuple[str, ...], one_inductance: bool) -> Array:
     """Return variances by item from those by unknown; (..., len(SHARES)) → (..., len(names)).
 
     Correlations count for both unknowns by half, so a share can be negative; such a share counts as
-    zero. The item "smoother" takes what belongs to no other one.
+    zero. The item "smoother" takes what belongs to no other one. With one inductance, "L_d" takes
+    the share of both axes.
     """
     of = {unknown: item for item, unknowns in ITEM_UNKNOWNS.items() for unknown in unknowns}
+    if one_inductance:
+        of |= dict.fromkeys(ITEM_UNKNOWNS["L_q"], "L_d")
     columns = [of.get(share, "smoother") for share in SHARES]
     sums = [
         shares[..., [n for n, item in enumerate(columns) if item == name]].sum(axis=-1)

@@ -61,6 +61,7 @@ def machine_file(
     numbers = {
         "R": machine.R_s,
         "psi_f": psi,
+        "guessed": float(guessed),
         "flux": flux_base,
         "rated_current": rated,
         "R_std": _relative(given.get("resistance", machine.R_s_std), machine.R_s, RESISTANCE_STD),
