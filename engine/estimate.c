@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "begin.h"
+#include "exact_file.h"
 #include "growth.h"
 #include "thinning.h"
 
@@ -12,10 +13,6 @@ enum {
     SKIPPED = 20, /* rows until innovations count: the first speed is rough */
     MOST = 120,   /* evaluations, at most */
 };
-/* Half squares that the last step may gain. A parameter that is d standard deviations off costs d²/2, so it
- * remains within 0.8 of them. */
-static const double fine = 0.3;
-
 /* Share of the flux by which magnets change in a second (root of it): their temperature changes by 30 K
  * in ten minutes. A cage's flux changes as its inductances do. A reluctance machine has none. */
 static const double psi_walk = 1e-3;
@@ -299,7 +296,7 @@ static bool try_range(learning *l, const fo_growth *g)
     w.problem.course = l->other;
     for (int n = 0; n < 2; n++) {
         memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
-        learnt = learnt && fo_learn_parts(&w, n ? &prior : &l->prior, fine, n ? WITH : WITHOUT, tried + n);
+        learnt = learnt && fo_learn_parts(&w, n ? &prior : &l->prior, FO_FINE, n ? WITH : WITHOUT, tried + n);
     }
     const double range = tried[1].parameters[FO_L_range];
     if (!learnt || range >= largest || tried[1].objective + saturated >= tried[0].objective) return false;
@@ -332,7 +329,7 @@ static void try_early(learning *l)
     w->problem.course = l->other;
     memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
     l->log.early = true;
-    const bool learnt = fo_learn_parts(w, &l->prior, fine, LAST, &tried);
+    const bool learnt = fo_learn_parts(w, &l->prior, FO_FINE, LAST, &tried);
     l->posterior->evaluations = tried.evaluations;
     l->log.early = learnt && tried.objective < l->posterior->objective;
     if (l->log.early) {
@@ -342,124 +339,12 @@ static void try_early(learning *l)
     w->problem.course = l->course;
 }
 
-/* Values of the machine file. */
-static const int of_file[] = {FO_L_resistance, FO_L_L_d, FO_L_L_q, FO_L_psi_f};
-enum { OF_FILE = 4 };
-
-/* Values that are held as in the file, with the steps by which they differ from it. */
-typedef struct {
-    int count, at[OF_FILE];
-    double step[OF_FILE];
-} held_values;
-
-static held_values stated_values(const learning *l)
-{
-    held_values v = {0, {0}, {0.0}};
-    for (int n = 0; n < OF_FILE; n++) {
-        const int k = of_file[n];
-        const bool stated = l->prior.std[k] > 0.0 && !(k == FO_L_psi_f && l->file->guessed > 0.0);
-        if (!stated || (l->prior.round && k == FO_L_L_q)) continue;
-        v.at[v.count] = k;
-        v.step[v.count++] = l->posterior->parameters[k] - l->prior.mean[k];
-    }
-    return v;
-}
-
-/* Cholesky factor of the covariance of the held values. False: it is singular. */
-static bool factor_held(const double *covariance, const held_values *v, double R[OF_FILE][OF_FILE])
-{
-    for (int r = 0; r < v->count; r++)
-        for (int c = 0; c <= r; c++) {
-            double sum = covariance[v->at[r] * FO_UNKNOWNS + v->at[c]];
-            for (int k = 0; k < c; k++) sum -= R[r][k] * R[c][k];
-            if (r == c && !(sum > 0.0)) return false;
-            R[r][c] = r == c ? sqrt(sum) : sum / R[c][c];
-        }
-    return true;
-}
-
-/* Evidence against values of the file that convinces: 20 to 1 (ln). */
-static const double convincing = 3.0;
-
-/* Half squares by which exact values of the file may explain the log worse: other values are spread over the prior, and
- * the log leaves these over the posterior (Occam factor). */
-static double margin_of(const learning *l, const held_values *v, double R[OF_FILE][OF_FILE])
-{
-    double sum = convincing;
-    for (int r = 0; r < v->count; r++) sum += log(l->prior.std[v->at[r]] / R[r][r]);
-    return sum;
-}
-
-/* Parameters with the values of the file; the others, but levels and colour, have their means if these are given.
- * Voltages are linear in the values, of which the parameters are logarithms. Returns the half squares that it should
- * cost. */
-static double hold(const learning *l, const held_values *v, double R[OF_FILE][OF_FILE], double *p)
-{
-    const double *C = l->posterior->covariance;
-    double x[OF_FILE], shift[FO_UNKNOWNS] = {0.0}, cost = 0.0;
-    for (int r = 0; r < v->count; r++) {
-        x[r] = expm1(-v->step[r]);
-        for (int c = 0; c < r; c++) x[r] -= R[r][c] * x[c];
-        x[r] /= R[r][r];
-        cost += 0.5 * x[r] * x[r];
-    }
-    for (int r = v->count - 1; r >= 0; r--) {
-        for (int k = r + 1; k < v->count; k++) x[r] -= R[k][r] * x[k];
-        x[r] /= R[r][r];
-        for (int k = FO_VARIANCES; k < FO_UNKNOWNS; k++) shift[k] += C[k * FO_UNKNOWNS + v->at[r]] * x[r];
-    }
-    for (int k = FO_VARIANCES; k < FO_UNKNOWNS; k++) p[k] += shift[k];
-    for (int n = 0; n < OF_FILE; n++) {
-        const int k = of_file[n];
-        p[k] += log1p(fmax(shift[k], -0.9)) - shift[k];
-    }
-    for (int n = 0; n < v->count; n++) p[v->at[n]] = l->prior.mean[v->at[n]];
-    if (l->prior.round) p[FO_L_L_q] = p[FO_L_L_d];
-    return cost;
-}
-
-/* Evaluations of exact values, the first and the others, and half squares that the others may gain. Exact values that
- * should cost so many margins are not tried: what has been learnt is hardly a poor minimum. Assumed. */
-enum { AS_FILED = 10, MORE = 30 };
-static const double hopeful = 50.0, hopeless = 3.0;
-
-/* Are these values those of the file, exactly? If they explain the log as well, they count from now on; or better, if
- * that should have cost more. */
-static void try_held(learning *l, const held_values *v)
-{
-    double R[OF_FILE][OF_FILE];
-    fo_posterior tried = *l->posterior;
-    fo_prior exact = l->prior;
-    if (!v->count || !factor_held(l->posterior->covariance, v, R)) return;
-    const double margin = margin_of(l, v, R), cost = hold(l, v, R, tried.parameters);
-    const double limit = l->posterior->objective + (cost < margin ? margin : 0.0);
-    if (cost > hopeless * margin) return;
-    for (int n = 0; n < v->count; n++) exact.std[v->at[n]] = 0.0;
-    if (exact.round) exact.std[FO_L_L_q] = exact.std[FO_L_L_d];
-    l->work.problem.course = l->other;
-    memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
-    bool learnt = fo_learn_parts(&l->work, &exact, fine, AS_FILED, &tried);
-    if (learnt && !tried.converged && tried.objective < limit + hopeful)
-        learnt = fo_learn_parts(&l->work, &exact, fine, MORE, &tried);
-    l->posterior->evaluations = tried.evaluations;
-    if (learnt && tried.objective < limit) {
-        *l->posterior = tried;
-        exchange_courses(l);
-    }
-    l->work.problem.course = l->course;
-}
-
-/* A value that differs from the file by more of its prior's standard deviations is wrong. */
-static const double wrong = 3.0;
-
-/* A log that hardly tells a value from another one leaves both where the search for levels and unrest has led them. So
- * it is asked whether the file is exact. */
+/* A log that hardly tells a value of the file from another one leaves both where the search for levels and unrest has
+ * led them. So it is asked whether the file is exact. */
 static void try_file(learning *l)
 {
-    const held_values v = stated_values(l);
-    for (int n = 0; n < v.count; n++)
-        if (fabs(v.step[n]) > wrong * l->prior.std[v.at[n]]) return;
-    if (fo_course_covariance(&l->work, &l->prior, l->posterior)) try_held(l, &v);
+    const fo_trial trial = {&l->work, &l->prior, l->file->guessed > 0.0, l->other};
+    if (fo_try_file(&trial, l->posterior)) exchange_courses(l);
 }
 
 /* What is in samples, in those of a thinned log, or back: within a longer row, the voltage turns in steps. */
@@ -587,7 +472,7 @@ static bool learn_course(const learning *l)
     begin_unrest(l, true);
     if (!fo_learn_parts(&l->work, &near, roughly, CALM_EVALUATIONS, l->posterior)) return false;
     begin_unrest(l, false);
-    return fo_learn_parts(&l->work, &l->prior, fine, MOST, l->posterior);
+    return fo_learn_parts(&l->work, &l->prior, FO_FINE, MOST, l->posterior);
 }
 
 /* The parameters are learnt first on a part with so many rows at most. */
@@ -788,9 +673,9 @@ static fo_outcome finish(learning *l, fo_growth *g)
     fo_cut_parts(g, l->course, rough, false);
     l->work.parts = g->parts;
     l->work.count = g->count;
-    bool learnt = fo_learn_parts(&l->work, &l->prior, fine, LAST, l->posterior);
+    bool learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, LAST, l->posterior);
     if (learnt && (!l->posterior->converged || fabs(log(l->posterior->mean_square)) > fitted))
-        learnt = fo_learn_parts(&l->work, &l->prior, fine, LAST, l->posterior);
+        learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, LAST, l->posterior);
     if (learnt) try_file(l);
     return learnt && l->posterior->mean_square < contradicted ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }

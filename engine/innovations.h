@@ -156,8 +156,8 @@ extern volatile int fo_interrupted;
 size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
                  const fo_follower *follower);
 
-/* `count` rows from a checkpoint on again. `course`: of these rows and the next. The derivatives of angle
- * and innovation are kept if they are wanted (`sensitive`). */
+/* `count` rows from a checkpoint on again. `course`: of these rows and the next. The derivatives of states
+ * and innovation, those of the course, are kept if they are wanted (`sensitive`). */
 void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
               const fo_filter *from, const fo_course *course, size_t count, bool sensitive,
               fo_row *rows);
