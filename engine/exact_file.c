@@ -108,7 +108,7 @@ static bool try_held(const fo_trial *t, const held_values *v, fo_posterior *post
     return true;
 }
 
-/* A value that differs from the file by more of its prior's standard deviations is wrong. */
+/* A value that differs from the file by more of its prior's standard deviations is wrong: one in 370 does. */
 static const double wrong = 3.0;
 
 bool fo_try_file(const fo_trial *t, fo_posterior *posterior)
