@@ -9,7 +9,7 @@ enum { MOST = FO_UNKNOWNS };
  * large. */
 static const double other_machines = 0.05, wider = 5.0;
 /* Iron does not deliver power: its loss is hardly below zero, by this share of its std. And a simulated drive lacks
- * errors that others have: the logarithm of a level may be below its mean by so many times its std. The last is assumed. */
+ * errors that others have: the logarithm of a level may be below its mean by so many times its std. Assumed. */
 static const double below = 0.1, calm = 4.0;
 /* The level of the harmonics has an inverse gamma prior. It counts like two coefficients, each a
  * tenth of the scale. */
