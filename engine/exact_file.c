@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "cholesky.h"
+
 /* Values of the machine file. */
 static const int of_file[] = {FO_L_resistance, FO_L_L_d, FO_L_L_q, FO_L_psi_f};
 enum { OF_FILE = 4 };
@@ -26,17 +28,18 @@ static held_values stated_values(const fo_trial *t, const fo_posterior *at)
     return v;
 }
 
-/* Cholesky factor of the covariance of the held values. False: it is singular. */
-static bool factor_held(const double *covariance, const held_values *v, double R[OF_FILE][OF_FILE])
+/* Covariance of the held values, as a factor; see fo_factor. */
+typedef struct {
+    double R[FO_UNKNOWNS][FO_UNKNOWNS], scale[FO_UNKNOWNS];
+} spread;
+
+/* False: the covariance is singular. */
+static bool spread_of(const double *covariance, const held_values *v, spread *out)
 {
+    double C[FO_UNKNOWNS][FO_UNKNOWNS], none[FO_UNKNOWNS] = {0.0};
     for (int r = 0; r < v->count; r++)
-        for (int c = 0; c <= r; c++) {
-            double sum = covariance[v->at[r] * FO_UNKNOWNS + v->at[c]];
-            for (int k = 0; k < c; k++) sum -= R[r][k] * R[c][k];
-            if (r == c && !(sum > 0.0)) return false;
-            R[r][c] = r == c ? sqrt(sum) : sum / R[c][c];
-        }
-    return true;
+        for (int c = 0; c < v->count; c++) C[r][c] = covariance[v->at[r] * FO_UNKNOWNS + v->at[c]];
+    return fo_factor(v->count, C, 0.0, none, out->scale, out->R);
 }
 
 /* Evidence against values of the file that convinces: 20 to 1 (ln). */
@@ -44,29 +47,24 @@ static const double convincing = 3.0;
 
 /* Half squares by which exact values of the file may explain the log worse: other values are spread over the prior, and
  * the log leaves these over the posterior (Occam factor). */
-static double margin_of(const fo_trial *t, const held_values *v, double R[OF_FILE][OF_FILE])
+static double margin_of(const fo_trial *t, const held_values *v, const spread *s)
 {
     double sum = convincing;
-    for (int r = 0; r < v->count; r++) sum += log(t->prior->std[v->at[r]] / R[r][r]);
+    for (int r = 0; r < v->count; r++) sum += log(t->prior->std[v->at[r]] * s->scale[r] / s->R[r][r]);
     return sum;
 }
 
 /* Parameters with the values of the file; the others, but levels and colour, have their means if these are given.
  * Voltages are linear in the values, of which the parameters are logarithms. Returns the half squares that it should
  * cost. */
-static double hold(const fo_trial *t, const held_values *v, double R[OF_FILE][OF_FILE], const double *C, double *p)
+static double hold(const fo_trial *t, const held_values *v, spread *s, const double *C, double *p)
 {
-    double x[OF_FILE], shift[FO_UNKNOWNS] = {0.0}, cost = 0.0;
-    for (int r = 0; r < v->count; r++) {
-        x[r] = expm1(-v->step[r]);
-        for (int c = 0; c < r; c++) x[r] -= R[r][c] * x[c];
-        x[r] /= R[r][r];
-        cost += 0.5 * x[r] * x[r];
-    }
-    for (int r = v->count - 1; r >= 0; r--) {
-        for (int k = r + 1; k < v->count; k++) x[r] -= R[k][r] * x[k];
-        x[r] /= R[r][r];
-        for (int k = FO_VARIANCES; k < FO_UNKNOWNS; k++) shift[k] += C[k * FO_UNKNOWNS + v->at[r]] * x[r];
+    double change[OF_FILE], x[OF_FILE], shift[FO_UNKNOWNS] = {0.0}, cost = 0.0;
+    for (int n = 0; n < v->count; n++) change[n] = expm1(-v->step[n]);
+    fo_solve(v->count, s->R, s->scale, change, x);
+    for (int n = 0; n < v->count; n++) {
+        cost += 0.5 * change[n] * x[n];
+        for (int k = FO_VARIANCES; k < FO_UNKNOWNS; k++) shift[k] += C[k * FO_UNKNOWNS + v->at[n]] * x[n];
     }
     for (int k = FO_VARIANCES; k < FO_UNKNOWNS; k++) p[k] += shift[k];
     for (int n = 0; n < OF_FILE; n++) {
@@ -87,12 +85,12 @@ static const double hopeful = 50.0, hopeless = 3.0;
  * that should have cost more. */
 static bool try_held(const fo_trial *t, const held_values *v, fo_posterior *posterior)
 {
-    double R[OF_FILE][OF_FILE];
+    spread s;
     fo_posterior tried = *posterior;
     fo_prior exact = *t->prior;
     fo_work w = *t->work;
-    if (!v->count || !factor_held(posterior->covariance, v, R)) return false;
-    const double margin = margin_of(t, v, R), cost = hold(t, v, R, posterior->covariance, tried.parameters);
+    if (!v->count || !spread_of(posterior->covariance, v, &s)) return false;
+    const double margin = margin_of(t, v, &s), cost = hold(t, v, &s, posterior->covariance, tried.parameters);
     const double limit = posterior->objective + (cost < margin ? margin : 0.0);
     if (cost > hopeless * margin) return false;
     for (int n = 0; n < v->count; n++) exact.std[v->at[n]] = 0.0;

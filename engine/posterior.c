@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "cholesky.h"
+
 enum { MOST = FO_UNKNOWNS };
 
 /* Assumed: one machine file in twenty describes another machine, and its errors are five times as
@@ -129,43 +131,6 @@ static void reduced(const selection *s, const fo_likelihood *at, const penalty *
     }
 }
 
-/* Cholesky factor of H + μ D, scaled by the diagonal of H: the units of the parameters differ by many
- * powers of ten. D is diagonal. */
-static bool factor(int n, double H[MOST][MOST], double mu, const double D[MOST], double scale[MOST],
-                   double R[MOST][MOST])
-{
-    for (int r = 0; r < n; r++) {
-        if (!(H[r][r] > 0.0) || !isfinite(H[r][r])) return false;
-        scale[r] = 1.0 / sqrt(H[r][r]);
-    }
-    for (int r = 0; r < n; r++)
-        for (int c = 0; c <= r; c++) {
-            double sum = scale[r] * scale[c] * (H[r][c] + (r == c ? mu * D[r] : 0.0));
-            for (int k = 0; k < c; k++) sum -= R[r][k] * R[c][k];
-            if (r != c) {
-                R[r][c] = sum / R[c][c];
-            } else {
-                if (!(sum > 1e-14) || !isfinite(sum)) return false;
-                R[r][r] = sqrt(sum);
-            }
-        }
-    return true;
-}
-
-static void solve(int n, double R[MOST][MOST], const double scale[MOST], const double *b, double *x)
-{
-    for (int r = 0; r < n; r++) {
-        x[r] = b[r] * scale[r];
-        for (int k = 0; k < r; k++) x[r] -= R[r][k] * x[k];
-        x[r] /= R[r][r];
-    }
-    for (int r = n - 1; r >= 0; r--) {
-        for (int k = r + 1; k < n; k++) x[r] -= R[k][r] * x[k];
-        x[r] /= R[r][r];
-    }
-    for (int r = 0; r < n; r++) x[r] *= scale[r];
-}
-
 /* Longest step of a parameter: where the filter's linearisation still holds. */
 static double longest(const fo_prior *prior, int k)
 {
@@ -200,13 +165,13 @@ static bool invert(const selection *s, double H[MOST][MOST], double *covariance)
     memset(covariance, 0, sizeof(double) * FO_UNKNOWNS * FO_UNKNOWNS);
     double ridge = 0.0, diagonal[MOST]; /* relative; needed where the filter has lost the rotor */
     for (int k = 0; k < s->count; k++) diagonal[k] = H[k][k];
-    while (!factor(s->count, H, ridge, diagonal, scale, R)) {
+    while (!fo_factor(s->count, H, ridge, diagonal, scale, R)) {
         ridge = ridge > 0.0 ? 100.0 * ridge : 1e-12;
         if (ridge > 1e-3) return false;
     }
     for (int c = 0; c < s->count; c++) {
         unit[c] = 1.0;
-        solve(s->count, R, scale, unit, column);
+        fo_solve(s->count, R, scale, unit, column);
         unit[c] = 0.0;
         for (int r = 0; r < s->count; r++)
             covariance[s->at[r] * FO_UNKNOWNS + s->at[c]] = column[r];
@@ -388,8 +353,8 @@ static bool trusted_steps(const selection *s, const fo_prior *prior, const doubl
         D[k] = is_level(s->at[k]) ? 0.0 : 1.0 / (own * own);
     }
     for (; *damping <= largest_damping; *damping = fmax(3.0 * *damping, 0.01)) {
-        if (!factor(s->count, H, *damping, D, scale, R)) continue;
-        solve(s->count, R, scale, g, step);
+        if (!fo_factor(s->count, H, *damping, D, scale, R)) continue;
+        fo_solve(s->count, R, scale, g, step);
         bool trusted = true, shortened = false;
         for (int k = 0; k < s->count; k++) {
             const int at = s->at[k];
