@@ -24,7 +24,7 @@ static double dot(const double *x, const double *y)
     return sum;
 }
 
-/* What an interval adds to the score: ∂F and the process noise. `after`, `before`: λ at its end and its
+/* What an interval adds to the score through the covariance: ∂F and the process noise. `after`, `before`: λ at its end and its
  * begin; `excess`: diagonal of Λ − λ λᵀ at its end; `half`: Λ F. */
 static void score_of_transition(const fo_model *m, double h, const fo_course *at, const fo_row *row,
                                 const fo_elements *elements, const double after[S], const double excess[S],
@@ -70,8 +70,10 @@ static void pass_transition(const fo_model *m, double h, const fo_course *at, co
     for (int r = 0; r < S; r++) excess[r] = a->Lambda[r][r] - after[r] * after[r];
     fo_times(elements, row->F, true, 1, after, a->lambda);
     fo_on_both_sides(elements, row->F, true, a->Lambda, half);
-    if (score)
-        score_of_transition(m, h, at, row, elements, after, excess, a->lambda, half, score);
+    if (!score) return;
+    score_of_transition(m, h, at, row, elements, after, excess, a->lambda, half, score);
+    for (int r = 0; r < S; r++)
+        for (int j = 0; j < FO_SENSITIVE; j++) score[FO_LEVELS + j] += after[r] * row->moved_by[r][j];
 }
 
 static void pass_transition_by(const fo_row *row, const fo_elements *elements, adjoint *a)
@@ -103,7 +105,7 @@ static measured measured_at(const fo_row *row, const adjoint *a, bool counts)
     return z;
 }
 
-/* What a measurement adds to the score through its covariance and the gain: ∂R and ∂H. */
+/* What a measurement adds to the score: through its innovation, and through its covariance and the gain, ∂R and ∂H. */
 static void score_of_measurement(const fo_row *row, const adjoint *a, const measured *z,
                                  double *score)
 {
@@ -116,6 +118,10 @@ static void score_of_measurement(const fo_row *row, const adjoint *a, const meas
             extra[r][c] = rest - z->w[r] * z->lambda[c];
             score[FO_L_noise] += by_S[r][c] * row->noise[r][c];
         }
+    for (int n = 0; n < 2; n++) {
+        const double by_error = z->counts * z->w[n] + z->lambda[n];
+        for (int j = 0; j < FO_SENSITIVE; j++) score[FO_LEVELS + j] += by_error * row->error_by[n][j];
+    }
     for (int s = 0; s < S; s++)
         for (int n = 0; n < 2; n++)
             psi[s][n] = a->lambda[s] * (z->w[n] + z->lambda[n]) - z->Lambda[s][n];
@@ -161,9 +167,10 @@ static void pass_measurement(const fo_row *row, const measured *z, double H[2][S
     for (int r = 0; r < S; r++) {
         for (int n = 0; n < 2; n++)
             a->lambda[r] -= H[n][r] * (z->lambda[n] + z->counts * z->w[n]);
-        for (int c = 0; c < S; c++)
+        for (int c = 0; c <= r; c++)
             a->Lambda[r][c] -= H[0][r] * Z[c][0] + H[1][r] * Z[c][1] + Z[r][0] * H[0][c] +
                                Z[r][1] * H[1][c];
+        for (int c = 0; c < r; c++) a->Lambda[c][r] = a->Lambda[r][c];
     }
     if (z->counts > 0.0) return;
     double Hw[S];
@@ -365,7 +372,8 @@ void fo_backward(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
         const size_t length = count - first < FO_CHUNK ? count - first : FO_CHUNK;
         if (first + length < count) course[length] = course[0];
         memcpy(course, problem->course + first, length * sizeof *course);
-        fo_again(problem, parameters, checkpoints + chunk, course, length, out->smoothed, rows);
+        fo_again(problem, parameters, checkpoints + chunk, course, length,
+                 out->smoothed ? FO_KEEP_SENSITIVE : score ? FO_KEEP_DIRECT : FO_KEEP_VALUES, rows);
         for (size_t k = length; k-- > 0;) {
             const size_t n = first + k;
             const fo_row *row = rows + k;

@@ -59,8 +59,8 @@ typedef struct {
     size_t stride, place;
 } fo_outputs;
 
-/* Completes the score of fo_innovations at the same parameters (`score`: FO_UNKNOWNS, or null).
- * `rows`: working space, FO_CHUNK elements. */
+/* The way back after fo_innovations at the same parameters. Adds the score of these rows to `score`, FO_UNKNOWNS numbers,
+ * or null; not together with smoothed rows. `rows`: working space, FO_CHUNK elements. */
 void fo_backward(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
                  const fo_filter *checkpoints, fo_row *rows, const fo_outputs *out, double *score);
 

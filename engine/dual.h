@@ -10,7 +10,12 @@
 
 #include "parameters.h"
 
-enum { FO_WIDTH = (1 + FO_T + 1) / 2 * 2 }; /* a multiple of what a vector register holds */
+#ifdef FO_VALUES_ONLY
+enum { FO_SLOPES = 0, FO_WIDTH = 1 }; /* see values.h */
+#else
+/* FO_WIDTH: a multiple of what a vector register holds. */
+enum { FO_SLOPES = FO_T, FO_WIDTH = (1 + FO_T + 1) / 2 * 2 };
+#endif
 
 typedef struct {
     double d[FO_WIDTH];
@@ -34,7 +39,7 @@ static inline fo_dual fo_constant(double value)
 static inline fo_dual fo_unknown(double value, int index)
 {
     fo_dual r = {{value}};
-    r.d[index - FO_FIRST_OF_MODEL + 1] = 1.0;
+    if (FO_SLOPES > 0) r.d[FO_SLOPES > 0 ? index - FO_FIRST_OF_MODEL + 1 : 0] = 1.0;
     return r;
 }
 

@@ -307,7 +307,7 @@ static bool try_range(learning *l, const fo_growth *g)
 
 /* Evaluations of all rows after those of the thinned log, at most. They are made once more if there is more to gain, or
  * if the mean square is not one within this (ln), for then the levels are not right yet. */
-enum { LAST = 5 };
+enum { LAST = 8 };
 static const double fitted = 0.1;
 /* Mean square from which on the innovations contradict their covariance. Assumed. */
 static const double contradicted = 2.0;

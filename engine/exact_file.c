@@ -96,6 +96,7 @@ static bool try_held(const fo_trial *t, const held_values *v, fo_posterior *post
     for (int n = 0; n < v->count; n++) exact.std[v->at[n]] = 0.0;
     if (exact.round) exact.std[FO_L_L_q] = exact.std[FO_L_L_d];
     w.problem.course = t->course;
+    w.held = true; /* or the exact values would gain what more steps of doubt and unrest give anyway */
     memcpy(t->course, t->work->problem.course, w.problem.log->rows * sizeof *t->course);
     bool learnt = fo_learn_parts(&w, &exact, FO_FINE, AS_FILED, &tried);
     if (learnt && !tried.converged && tried.objective < limit + hopeful)

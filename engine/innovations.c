@@ -16,7 +16,9 @@ enum {
     MEANS = FO_FIRST_OF_MEANS - FO_LEVELS
 };
 
+#ifndef FO_VALUES_ONLY
 const unsigned char fo_measured_states[FO_BY] = {FO_FLUX, FO_FLUX + 1, FO_ANGLE, FO_PSI};
+#endif
 
 /* Where the elements of a kind begin. */
 enum {
@@ -30,6 +32,7 @@ enum {
     OF_NOISE = 33,
     NOISE_WIDTH = 5
 };
+#ifndef FO_VALUES_ONLY
 const unsigned char fo_pattern[FO_ELEMENTS][2] = {
     {0, 0}, {0, 1}, {0, FO_ANGLE}, {0, FO_SPEED}, {0, FO_PSI}, {0, FO_DRIFT}, {0, FO_DRIFT + 1},
     {1, 0}, {1, 1}, {1, FO_ANGLE}, {1, FO_SPEED}, {1, FO_PSI}, {1, FO_DRIFT}, {1, FO_DRIFT + 1},
@@ -42,10 +45,11 @@ const unsigned char fo_pattern[FO_ELEMENTS][2] = {
     {FO_NOISE, FO_NOISE}, {FO_NOISE, 0}, {FO_NOISE, 1}, {FO_NOISE, FO_ANGLE}, {FO_NOISE, FO_PSI},
     {FO_NOISE + 1, FO_NOISE + 1}, {FO_NOISE + 1, 0}, {FO_NOISE + 1, 1}, {FO_NOISE + 1, FO_ANGLE},
     {FO_NOISE + 1, FO_PSI}};
+#endif
 
 fo_elements fo_elements_of(const fo_model *m)
 {
-    fo_elements e = {{0}, 0};
+    fo_elements e = {{0}, 0, m->is_coloured ? S : FO_NOISE};
     for (int k = 0; k < FO_ELEMENTS; k++) {
         if (k >= OF_CAGE && k < OF_TIME && !m->machine.cage) continue;
         if (k >= OF_NOISE && !m->is_coloured) continue;
@@ -66,8 +70,10 @@ typedef struct {
     const fo_model *m;
     fo_elements elements;
     bool sensitive;         /* derivatives of the states are wanted */
+    bool direct;            /* those of each step, what it starts from held, are kept */
     bool of_course;         /* those of the course, without those of F and H times the state's distance from it */
     by_variance *variances; /* or null */
+    int variances_count;    /* without colour: the levels */
     size_t skipped;
     fo_likelihood *out;     /* or null */
     const fo_follower *follower; /* the course follows the filter; or null */
@@ -84,18 +90,6 @@ typedef struct {
     double by_model[2][FO_T]; /* derivatives of e, of the state held */
     double angle;             /* of the state before it, from the course */
 } update;
-
-fo_log fo_rows_of(const fo_log *log, size_t first, size_t rows)
-{
-    fo_log out = *log;
-    out.rows = rows;
-    out.voltage += 2 * first;
-    out.current += 2 * first;
-    if (out.rounding) out.rounding += first;
-    out.first = first;
-    out.whole = log->rows;
-    return out;
-}
 
 static void start_at(const fo_problem *q, const fo_model *m, fo_filter *f)
 {
@@ -174,7 +168,7 @@ static const double unlikely = 4.0;
 static void measure_variances(const pass *q, double H[2][FO_BY], const update *z, bool counted)
 {
     double VS[FO_VARIANCES][2][2], e[FO_VARIANCES][2];
-    for (int l = 0; l < FO_VARIANCES; l++) {
+    for (int l = 0; l < q->variances_count; l++) {
         by_variance *own = q->variances + l;
         double PH[S][2], by[2][2];
         times_slope(own->P, H, PH);
@@ -192,15 +186,16 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
             const double x = k * by[0][0] + n * by[1][0] - PH[r][0];
             const double y = k * by[0][1] + n * by[1][1] - PH[r][1];
             own->x[r] += k * e[l][0] + n * e[l][1] - x * z->w[0] - y * z->w[1];
-            for (int c = 0; c < S; c++)
+            for (int c = 0; c <= r; c++)
                 own->P[r][c] += x * z->K[c][0] + y * z->K[c][1] - k * PH[c][0] - n * PH[c][1];
+            for (int c = 0; c < r; c++) own->P[c][r] = own->P[r][c];
         }
     }
     if (!counted) return;
     /* A misfit would inflate the part of the means, and the levels would creep. */
     const double square = 0.5 * (z->e[0] * z->w[0] + z->e[1] * z->w[1]);
     const double fits = square > unlikely ? unlikely / square : 1.0;
-    for (int l = 0; l < FO_VARIANCES; l++)
+    for (int l = 0; l < q->variances_count; l++)
         for (int n = 0; n <= l; n++) {
             double *sum = q->out->information + l * FO_UNKNOWNS + n;
             for (int a = 0; a < 2; a++)
@@ -209,17 +204,26 @@ static void measure_variances(const pass *q, double H[2][FO_BY], const update *z
         }
 }
 
-/* Derivatives of the innovation, of the state held. */
-static void innovation_by(const fo_prediction *p, const update *z, const fo_filter *f, double by[2][FO_SENSITIVE])
+/* Derivatives of the innovation through the state. */
+static void innovation_by_state(const update *z, const fo_filter *f, double by[2][FO_SENSITIVE])
 {
     for (int a = 0; a < 2; a++) {
         double *e = by[a];
-        for (int j = 0; j < FO_SENSITIVE; j++) e[j] = -f->by[FO_NOISE + a][j];
+        for (int j = 0; j < FO_SENSITIVE; j++) e[j] -= f->by[FO_NOISE + a][j];
         for (int k = 0; k < FO_BY; k++) {
             const double h = z->H[a][k].d[0], *x = f->by[fo_measured_states[k]];
             for (int j = 0; j < FO_SENSITIVE; j++) e[j] -= h * x[j];
         }
-        for (int j = 0; j < FO_T; j++) e[MODEL + j] += z->by_model[a][j];
+    }
+}
+
+/* Derivatives of the innovation, of the state held. */
+static void innovation_by(const fo_prediction *p, const update *z, double by[2][FO_SENSITIVE])
+{
+    memset(by, 0, 2 * sizeof *by);
+    for (int a = 0; a < 2; a++) {
+        double *e = by[a];
+        for (int j = 0; j < FO_SLOPES; j++) e[MODEL + j] += z->by_model[a][j];
         for (int j = 0; j < FO_COLUMNS; j++) e[MEANS + j] -= p->measured_by[a][j];
         for (int j = 0; j < 2 * FO_ORDERS; j++)
             e[FO_L - FO_LEVELS + j] -= z->angle * (p->sensed[a][A] * p->angle_by[A][j] +
@@ -274,7 +278,8 @@ static void expect_load_step(const pass *q, fo_filter *f)
     f->calm = f->row + CALM;
 }
 
-/* Measurement update of state and covariance; `by`: derivatives of the innovation, if they are wanted. */
+/* Measurement update of state and covariance; `by`: derivatives of the innovation, if they are wanted; of the state
+ * held unless its own are wanted too. */
 static bool measure(const pass *q, const double measured[2], double rounding, const fo_prediction *p,
                     fo_filter *f, bool counted, update *z, double by[2][FO_SENSITIVE])
 {
@@ -290,7 +295,7 @@ static bool measure(const pass *q, const double measured[2], double rounding, co
         }
         z->e[a] = e.d[0] - f->x[FO_NOISE + a];
         for (int k = 0; q->of_course && k < FO_BY; k++) fo_accumulate_scaled(&e, d[k], &z->H[a][k]);
-        memcpy(z->by_model[a], e.d + 1, sizeof z->by_model[a]);
+        for (int j = 0; j < FO_SLOPES; j++) z->by_model[a][j] = e.d[1 + j];
     }
     if (q->of_course) z->angle = 0.0;
     times_slope(f->P, H, PH);
@@ -306,7 +311,8 @@ static bool measure(const pass *q, const double measured[2], double rounding, co
     z->V[0][1] = z->V[1][0] = -own[0][1] / z->det;
     z->V[1][1] = own[0][0] / z->det;
     for (int a = 0; a < 2; a++) z->w[a] = z->V[a][0] * z->e[0] + z->V[a][1] * z->e[1];
-    if (q->sensitive) innovation_by(p, z, f, by);
+    if (q->sensitive || q->direct) innovation_by(p, z, by);
+    if (q->sensitive) innovation_by_state(z, f, by);
     if (q->follower) {
         f->square = considered_square(q->follower->covariance, own, by, z);
         doubt_outlier(f, z);
@@ -315,9 +321,10 @@ static bool measure(const pass *q, const double measured[2], double rounding, co
         for (int a = 0; a < 2; a++) z->K[r][a] = PH[r][0] * z->V[0][a] + PH[r][1] * z->V[1][a];
         f->x[r] += PH[r][0] * z->w[0] + PH[r][1] * z->w[1];
     }
-    for (int r = 0; r < S; r++)
-        for (int c = 0; c < S; c++)
-            f->P[r][c] -= z->K[r][0] * PH[c][0] + z->K[r][1] * PH[c][1];
+    for (int r = 0; r < S; r++) {
+        for (int c = 0; c <= r; c++) f->P[r][c] -= z->K[r][0] * PH[c][0] + z->K[r][1] * PH[c][1];
+        for (int c = 0; c < r; c++) f->P[c][r] = f->P[r][c];
+    }
     if (q->variances) measure_variances(q, H, z, counted);
     return true;
 }
@@ -331,7 +338,7 @@ static void measure_sensitivity(const update *z, fo_filter *f, double by[2][FO_S
     }
 }
 
-/* Adds a row to the objective, to the score through the means, and to the information. */
+/* Adds a row to the objective and to the information. */
 static void count(const update *z, double by[2][FO_SENSITIVE], bool sensitive, fo_likelihood *out)
 {
     const double square = z->e[0] * z->w[0] + z->e[1] * z->w[1];
@@ -339,8 +346,6 @@ static void count(const update *z, double by[2][FO_SENSITIVE], bool sensitive, f
     out->mean_square += 0.5 * square;
     out->counted++;
     if (!sensitive) return;
-    double *score = out->score + FO_LEVELS;
-    for (int j = 0; j < FO_SENSITIVE; j++) score[j] += by[0][j] * z->w[0] + by[1][j] * z->w[1];
     for (int r = MODEL; r < FO_SENSITIVE; r++) {
         const double a = z->V[0][0] * by[0][r] + z->V[0][1] * by[1][r];
         const double b = z->V[1][0] * by[0][r] + z->V[1][1] * by[1][r];
@@ -698,7 +703,7 @@ static void move_means(const fo_model *m, const interval *t, const electrical *e
 
 static void add_of_model(double row[FO_SENSITIVE], const fo_dual *from)
 {
-    for (int j = 0; j < FO_T; j++) row[MODEL + j] += from->d[1 + j];
+    for (int j = 0; j < FO_SLOPES; j++) row[MODEL + j] += from->d[1 + j];
 }
 
 /* The process noise of an interval. By a level, its own part counts twice, since it is the logarithm of
@@ -735,6 +740,14 @@ static void move_variances(const pass *q, const update *z, const double residual
                            const double F[FO_ELEMENTS], fo_filter *f)
 {
     double slope[2][2][S] = {{{0.0}}}, moved[2][2][S]; /* rows of ∂F; ∂F P Fᵀ */
+    for (int l = 0; l < q->variances_count; l++) {
+        by_variance *own = q->variances + l;
+        double next[S];
+        fo_times(&q->elements, F, false, 1, own->x, next);
+        memcpy(own->x, next, sizeof next);
+        move_covariance(&q->elements, F, own->P);
+    }
+    if (!q->m->is_coloured) return;
     for (int a = 0; a < 2; a++) {
         slope[0][a][FO_NOISE + a] = 1.0;
         if (!z) continue;
@@ -748,14 +761,9 @@ static void move_variances(const pass *q, const update *z, const double residual
                 for (int c = 0; c < S; c++) P[c] += slope[n][a][r] * f->P[r][c];
             fo_times(&q->elements, F, false, 1, P, moved[n][a]);
         }
-    for (int l = 0; l < FO_VARIANCES; l++) {
-        by_variance *own = q->variances + l;
-        double next[S];
-        fo_times(&q->elements, F, false, 1, own->x, next);
-        memcpy(own->x, next, sizeof next);
-        move_covariance(&q->elements, F, own->P);
-        const int n = l - FO_LEVELS;
-        for (int a = 0; n >= 0 && a < 2; a++) {
+    for (int n = 0; n < 2; n++) {
+        by_variance *own = q->variances + FO_LEVELS + n;
+        for (int a = 0; a < 2; a++) {
             own->x[FO_NOISE + a] += n ? residual[a] : f->x[FO_NOISE + a];
             for (int r = 0; r < S; r++) {
                 own->P[FO_NOISE + a][r] += moved[n][a][r];
@@ -779,61 +787,81 @@ static void leave_course(const pass *q, const interval *t, const fo_filter *f, c
     d[FO_PSI] = f->x[FO_PSI] - t->from->psi;
     for (int n = 0; n < q->elements.count && q->elements.at[n] < FO_BENT; n++) {
         const int k = q->elements.at[n], r = fo_pattern[k][0];
-        for (int j = 0; j < FO_T; j++) next[r][MODEL + j] -= d[fo_pattern[k][1]] * F->bent[k].d[1 + j];
+        for (int j = 0; j < FO_SLOPES; j++) next[r][MODEL + j] -= d[fo_pattern[k][1]] * F->bent[k].d[1 + j];
     }
 }
 
-/* Time update over an interval; `z`: the measurement before it, or null. `residual`: what it left. */
+/* States after an interval. */
+typedef struct {
+    fo_dual flux[2], angle, speed, psi;
+} moved_states;
+
+/* Adds the derivatives of the states after an interval, of those before it held. */
+static void moved_by(const pass *q, const interval *t, const update *z, const double residual[2],
+                     const electrical *e, const cage *g, const fo_filter *f, const moved_states *to,
+                     const transition *F, double next[S][FO_SENSITIVE])
+{
+    const fo_model *m = q->m;
+    double d[FO_BY];
+    deviation(t->from, f->x, d);
+    move_means(m, t, e, g, z, next);
+    add_of_model(next[FO_FLUX], &to->flux[A]);
+    add_of_model(next[FO_FLUX + 1], &to->flux[B]);
+    add_of_model(next[FO_ANGLE], &to->angle);
+    add_of_model(next[FO_SPEED], &to->speed);
+    add_of_model(next[FO_PSI], &to->psi);
+    for (int a = 0; a < 2 && m->is_coloured; a++) {
+        double *own = next[FO_NOISE + a];
+        own[POLE] += f->x[FO_NOISE + a];
+        if (!z) continue;
+        own[GAIN] += residual[a];
+        fo_dual i = a ? t->at->measured.b : t->at->measured.a;
+        for (int k = 0; !q->of_course && k < FO_BY; k++) fo_accumulate_scaled(&i, d[k], &z->H[a][k]);
+        i = fo_scale(-m->colour, i);
+        add_of_model(own, &i);
+    }
+    if (q->of_course) leave_course(q, t, f, F, next);
+}
+
+/* Time update over an interval; `z`: the measurement before it, or null. `residual`: what it left. `row`: keeps the
+ * derivatives of this step, if they are wanted. */
 static void advance(const pass *q, const interval *t, const update *z, const double residual[2],
-                    fo_filter *f, transition *F)
+                    fo_filter *f, transition *F, fo_row *row)
 {
     const fo_model *m = q->m;
     const electrical e = electrical_of(m, t);
     double d[FO_BY];
-    fo_dual flux[2], angle, speed, psi;
+    moved_states to;
     cage g;
     deviation(t->from, f->x, d);
     if (m->machine.cage) g = cage_of(m, t);
-    move_flux(m, t, &e, &g, d, f->x, flux, F);
-    move_rotor(m, t, &g, d, f->x, &angle, &speed, &psi, F);
+    move_flux(m, t, &e, &g, d, f->x, to.flux, F);
+    move_rotor(m, t, &g, d, f->x, &to.angle, &to.speed, &to.psi, F);
     put_values(m, t->h, z, F);
     if (q->sensitive) {
         double next[S][FO_SENSITIVE];
         fo_times(&q->elements, F->F, false, FO_SENSITIVE, f->by[0], next[0]);
-        move_means(m, t, &e, &g, z, next);
-        add_of_model(next[FO_FLUX], &flux[A]);
-        add_of_model(next[FO_FLUX + 1], &flux[B]);
-        add_of_model(next[FO_ANGLE], &angle);
-        add_of_model(next[FO_SPEED], &speed);
-        add_of_model(next[FO_PSI], &psi);
-        for (int a = 0; a < 2 && m->is_coloured; a++) {
-            double *own = next[FO_NOISE + a];
-            own[POLE] += f->x[FO_NOISE + a];
-            if (!z) continue;
-            own[GAIN] += residual[a];
-            fo_dual i = a ? t->at->measured.b : t->at->measured.a;
-            for (int k = 0; !q->of_course && k < FO_BY; k++) fo_accumulate_scaled(&i, d[k], &z->H[a][k]);
-            i = fo_scale(-m->colour, i);
-            add_of_model(own, &i);
-        }
-        if (q->of_course) leave_course(q, t, f, F, next);
+        moved_by(q, t, z, residual, &e, &g, f, &to, F, next);
         memcpy(f->by, next, sizeof next);
+    } else if (q->direct) {
+        memset(row->moved_by, 0, sizeof row->moved_by);
+        moved_by(q, t, z, residual, &e, &g, f, &to, F, row->moved_by);
     }
     if (q->variances) move_variances(q, z, residual, F->F, f);
     move_covariance(&q->elements, F->F, f->P);
     for (int a = 0; a < 2; a++) {
-        f->x[FO_FLUX + a] = flux[a].d[0];
+        f->x[FO_FLUX + a] = to.flux[a].d[0];
         f->x[FO_NOISE + a] = m->pole * f->x[FO_NOISE + a] + (z ? m->colour * residual[a] : 0.0);
     }
-    f->x[FO_ANGLE] = angle.d[0];
-    f->x[FO_SPEED] = speed.d[0];
-    f->x[FO_PSI] = psi.d[0];
+    f->x[FO_ANGLE] = to.angle.d[0];
+    f->x[FO_SPEED] = to.speed.d[0];
+    f->x[FO_PSI] = to.psi.d[0];
     add_noise(q, t->h, z, f);
 }
 
 /* Keeps what the filter knows after the measurement update of a row. */
-static void keep_row(const fo_filter *f, const fo_prediction *at, const update *z,
-                     double error_by[2][FO_SENSITIVE], bool sensitive, fo_row *row)
+static void keep_row(const pass *q, const fo_filter *f, const fo_prediction *at, const update *z,
+                     double error_by[2][FO_SENSITIVE], fo_row *row)
 {
     memcpy(row->own, f->x, sizeof row->own);
     for (int a = 0; a < 2; a++) {
@@ -842,7 +870,8 @@ static void keep_row(const fo_filter *f, const fo_prediction *at, const update *
     }
     memcpy(row->P, f->P, sizeof row->P);
     row->measured = z;
-    if (sensitive) {
+    if (q->direct && z) memcpy(row->error_by, error_by, sizeof row->error_by);
+    if (q->sensitive) {
         memcpy(row->own_by, f->by, sizeof row->own_by);
         for (int a = 0; a < 2; a++) {
             double *by = row->current_by[a];
@@ -851,7 +880,10 @@ static void keep_row(const fo_filter *f, const fo_prediction *at, const update *
             memcpy(by + MEANS, at->by[a], sizeof at->by[a]);
             by[FO_L_iron_loss - FO_LEVELS] = 0.0;
         }
-        memcpy(row->error_by, error_by, sizeof row->error_by);
+        if (z)
+            memcpy(row->error_by, error_by, sizeof row->error_by);
+        else
+            memset(row->error_by, 0, sizeof row->error_by);
     }
     if (!z) return;
     memcpy(row->error, z->e, sizeof row->error);
@@ -861,14 +893,15 @@ static void keep_row(const fo_filter *f, const fo_prediction *at, const update *
     for (int a = 0; a < 2; a++)
         for (int k = 0; k < FO_BY; k++) {
             row->H[a][k] = z->H[a][k].d[0];
-            memcpy(row->H_by[a][k], z->H[a][k].d + 1, sizeof row->H_by[a][k]);
+            for (int j = 0; j < FO_SLOPES; j++) row->H_by[a][k][j] = z->H[a][k].d[1 + j];
         }
 }
 
 static void keep_transition(const transition *F, fo_row *row)
 {
     memcpy(row->F, F->F, sizeof row->F);
-    for (int k = 0; k < FO_BENT; k++) memcpy(row->F_by[k], F->bent[k].d + 1, sizeof row->F_by[k]);
+    for (int k = 0; k < FO_BENT; k++)
+        for (int j = 0; j < FO_SLOPES; j++) row->F_by[k][j] = F->bent[k].d[1 + j];
 }
 
 static fo_prediction prediction_at(const pass *q, const fo_filter *f)
@@ -918,7 +951,7 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
     const double *i = log->current + 2 * k, *u = log->voltage + 2 * k;
     const bool known = isfinite(u[0]) && isfinite(u[1]);
     const bool seen = isfinite(i[0]) && isfinite(i[1]);
-    double before[2], residual[2] = {0.0, 0.0}, error_by[2][FO_SENSITIVE] = {{0.0}};
+    double before[2], residual[2] = {0.0, 0.0}, error_by[2][FO_SENSITIVE];
     memcpy(before, f->voltage, sizeof before);
     if (known) memcpy(f->voltage, u, sizeof f->voltage);
     if (k == 0) memcpy(before, f->voltage, sizeof before);
@@ -933,7 +966,7 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
         for (int a = 0; a < 2; a++) residual[a] = z.R[a][0] * z.w[0] + z.R[a][1] * z.w[1];
     }
     if (!isfinite(f->x[FO_ANGLE])) return false;
-    if (row) keep_row(f, at, seen ? &z : NULL, error_by, q->sensitive, row);
+    if (row) keep_row(q, f, at, seen ? &z : NULL, error_by, row);
     f->row++;
     if (f->row == log->rows) return true;
     if (q->follower) expect_load_step(q, f);
@@ -951,7 +984,7 @@ static bool pass_row(const pass *q, const fo_prediction *at, fo_prediction *next
                         place_of(log, k), q->course, q->course + 1, at, next,
                         log->periods ? log->periods : 1};
     transition F;
-    advance(q, &t, seen ? &z : NULL, residual, f, &F);
+    advance(q, &t, seen ? &z : NULL, residual, f, &F, row);
     f->unknown = known ? 0 : f->unknown + 1;
     if (!known) {
         const double *flux = q->course->flux, speed = f->turning;
@@ -973,14 +1006,11 @@ static void complete(fo_likelihood *out)
             out->information[c * FO_UNKNOWNS + r] = out->information[r * FO_UNKNOWNS + c];
 }
 
-size_t fo_checkpoints(size_t rows)
-{
-    return (rows + FO_CHUNK - 1) / FO_CHUNK;
-}
-
 bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], fo_detail detail,
                     fo_likelihood *out, fo_filter *checkpoints)
 {
+    if (FO_SLOPES > 0 && detail == FO_OBJECTIVE)
+        return fo_innovations_of_values(problem, parameters, detail, out, checkpoints);
     const fo_model m = fo_model_of(problem->machine, parameters);
     by_variance by[FO_VARIANCES];
     pass q = {.log = problem->log,
@@ -1001,6 +1031,7 @@ bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOW
             by[FO_L_colour_gain].P[r][r] = 2.0 * m.colour * m.noise;
         }
         q.variances = by;
+        q.variances_count = m.is_coloured ? FO_VARIANCES : FO_LEVELS;
     }
     fo_prediction predictions[2];
     predictions[0] = prediction_at(&q, &f);
@@ -1015,24 +1046,46 @@ bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOW
     return true;
 }
 
-volatile int fo_interrupted = 0;
-
 void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
-              const fo_filter *from, const fo_course *course, size_t count, bool sensitive,
-              fo_row *rows)
+              const fo_filter *from, const fo_course *course, size_t count, fo_kept kept, fo_row *rows)
 {
+    if (FO_SLOPES > 0 && kept == FO_KEEP_VALUES) {
+        fo_again_of_values(problem, parameters, from, course, count, kept, rows);
+        return;
+    }
     const fo_model m = fo_model_of(problem->machine, parameters);
     pass q = {.log = problem->log,
               .course = course,
               .m = &m,
               .elements = fo_elements_of(&m),
-              .sensitive = sensitive,
-              .of_course = true};
+              .sensitive = kept == FO_KEEP_SENSITIVE,
+              .direct = kept == FO_KEEP_DIRECT,
+              .of_course = kept == FO_KEEP_SENSITIVE};
     fo_filter f = *from;
     fo_prediction predictions[2];
     predictions[0] = prediction_at(&q, &f);
     for (size_t k = 0; k < count; k++, q.course++)
         pass_row(&q, predictions + k % 2, predictions + (k + 1) % 2, &f, rows + k);
+}
+
+#ifndef FO_VALUES_ONLY
+volatile int fo_interrupted = 0;
+
+size_t fo_checkpoints(size_t rows)
+{
+    return (rows + FO_CHUNK - 1) / FO_CHUNK;
+}
+
+fo_log fo_rows_of(const fo_log *log, size_t first, size_t rows)
+{
+    fo_log out = *log;
+    out.rows = rows;
+    out.voltage += 2 * first;
+    out.current += 2 * first;
+    if (out.rounding) out.rounding += first;
+    out.first = first;
+    out.whole = log->rows;
+    return out;
 }
 
 /* Page's cumulative sum of the normalised squares above `usual`: once it exceeds `misfit`, rows do not fit from where
@@ -1090,3 +1143,4 @@ size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS]
     }
     return problem->log->rows;
 }
+#endif

@@ -73,7 +73,7 @@ typedef struct {
 
 typedef struct {
     double objective;          /* ½ Σ eᵀS⁻¹e + ln det S, without constant */
-    double score[FO_UNKNOWNS]; /* its derivative */
+    double score[FO_UNKNOWNS]; /* its derivative, from fo_backward */
     double information[FO_UNKNOWNS * FO_UNKNOWNS]; /* expected second derivative (Fisher) */
     double mean_square; /* of the normalised innovations; 1 if the levels are right */
     size_t counted;     /* rows */
@@ -105,8 +105,9 @@ typedef struct {
     double H_by[2][FO_BY][FO_T];        /* and theirs by the parameters of the model */
     double F[FO_ELEMENTS];              /* transition to the next row */
     double F_by[FO_BENT][FO_T];
-    double error_by[2][FO_SENSITIVE];   /* derivatives of the innovation, gain held */
-    double own_by[FO_NOISE][FO_SENSITIVE]; /* of the states but the noise */
+    double error_by[2][FO_SENSITIVE];   /* derivatives of the innovation, of gain and predicted state held */
+    double moved_by[FO_STATES][FO_SENSITIVE]; /* of the next state, that of this row held */
+    double own_by[FO_NOISE][FO_SENSITIVE]; /* of the states but the noise, gain held */
     double current_by[2][FO_SENSITIVE]; /* of that current, with given states */
     bool measured;
 } fo_row;
@@ -119,7 +120,7 @@ extern const unsigned char fo_pattern[FO_ELEMENTS][2];
 /* Elements that a machine has. */
 typedef struct {
     unsigned char at[FO_ELEMENTS];
-    int count;
+    int count, states; /* states: without those of the noise if it is white */
 } fo_elements;
 fo_elements fo_elements_of(const fo_model *m);
 
@@ -129,14 +130,13 @@ size_t fo_checkpoints(size_t rows);
 /* How much is evaluated; each contains those before. */
 typedef enum {
     FO_OBJECTIVE,
-    FO_OF_THE_MODEL, /* score and information of the parameters of model and means */
+    FO_OF_THE_MODEL, /* information of the parameters of model and means */
     FO_OF_ALL,       /* information of levels and colour; costs as much as the rest */
-    FO_OF_COURSE     /* as before, but the information is that of the course; no score */
+    FO_OF_COURSE     /* as before, but the information is that of the course */
 } fo_detail;
 
-/* Objective, score and information at the parameters: FO_L, then two coefficients of each harmonic [Wb].
- * The score is complete for the parameters of the means only; fo_backward completes it. False: a number
- * is not finite, or a covariance is not positive. */
+/* Objective and information at the parameters: FO_L, then two coefficients of each harmonic [Wb]. False: a
+ * number is not finite, or a covariance is not positive. */
 bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOWNS], fo_detail detail,
                     fo_likelihood *out, fo_filter *checkpoints);
 
@@ -156,11 +156,23 @@ extern volatile int fo_interrupted;
 size_t fo_follow(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
                  const fo_follower *follower);
 
-/* `count` rows from a checkpoint on again. `course`: of these rows and the next. The derivatives of states
- * and innovation, those of the course, are kept if they are wanted (`sensitive`). */
+/* What is kept of rows that the filter passes again. */
+typedef enum {
+    FO_KEEP_VALUES,    /* no derivatives by parameters */
+    FO_KEEP_DIRECT,    /* for the score: of each step of the filter, what it starts from held */
+    FO_KEEP_SENSITIVE  /* of the states, those of the course; FO_OF_COURSE was evaluated before */
+} fo_kept;
+
+/* `count` rows from a checkpoint on again. `course`: of these rows and the next. */
 void fo_again(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
-              const fo_filter *from, const fo_course *course, size_t count, bool sensitive,
-              fo_row *rows);
+              const fo_filter *from, const fo_course *course, size_t count, fo_kept kept, fo_row *rows);
+
+#ifndef FO_VALUES_ONLY
+bool fo_innovations_of_values(const fo_problem *problem, const double parameters[FO_UNKNOWNS], fo_detail detail,
+                              fo_likelihood *out, fo_filter *checkpoints);
+void fo_again_of_values(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
+                        const fo_filter *from, const fo_course *course, size_t count, fo_kept kept, fo_row *rows);
+#endif
 
 #ifdef __cplusplus
 }

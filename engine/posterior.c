@@ -52,13 +52,17 @@ static bool is_of_file(int k)
     return k == FO_L_resistance || k == FO_L_L_d || k == FO_L_L_q || k == FO_L_psi_f;
 }
 
+static double std_of(const fo_prior *prior, int k, double difference)
+{
+    const double less = k == FO_L_iron_loss ? below : is_level(k) ? calm : 1.0;
+    return prior->std[k] * (difference < 0.0 ? less : 1.0);
+}
+
 static penalty penalty_at(const fo_prior *prior, const double *p, double harmonics)
 {
     penalty out = {0.0, {0.0}, {0.0}};
     for (int k = 0; k < FO_L; k++) {
-        const double difference = p[k] - prior->mean[k];
-        const double less = k == FO_L_iron_loss ? below : is_level(k) ? calm : 1.0;
-        const double std = prior->std[k] * (difference < 0.0 ? less : 1.0);
+        const double difference = p[k] - prior->mean[k], std = std_of(prior, k, difference);
         if (!(std > 0.0) || (prior->round && k == FO_L_L_q)) continue;
         if (!prior->normal && (is_of_file(k) || k == FO_L_lag)) {
             add_heavy(difference, std, k, &out);
@@ -267,6 +271,29 @@ static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course
     }
 }
 
+/* Level of the acceleration at which the prior of the unrest fits best if no variance changes: the harmonic mean of
+ * these variances, and the level's own prior. The unrest is then that about this level. Step by step, both would creep
+ * there. Newton's method; the function is convex. */
+static void balance_unrest(const fo_prior *prior, size_t rows, fo_course *course, double *level)
+{
+    enum { STEPS = 50 };
+    const double mean = prior->mean[FO_L_acceleration], begin = *level;
+    const double all = calm_rows * (double)rows / (double)FO_STRETCH;
+    double calm_share = 0.0;
+    if (!(prior->std[FO_L_acceleration] > 0.0)) return;
+    for (size_t k = 0; k < rows; k++) calm_share += 1.0 / course[k].unrest / (double)rows;
+    for (int n = 0; n < STEPS; n++) {
+        const double std = std_of(prior, FO_L_acceleration, *level - mean);
+        const double ratio = calm_share * exp(2.0 * (*level - begin));
+        const double slope = all * (ratio - 1.0) + (*level - mean) / (std * std);
+        const double step = slope / (2.0 * all * fmax(ratio, 1.0) + 1.0 / (std * std));
+        *level -= step;
+        if (fabs(step) < 1e-6) break;
+    }
+    const double change = exp(2.0 * (begin - *level));
+    for (size_t k = 0; k < rows; k++) course[k].unrest *= change;
+}
+
 /* −ln of the prior of the unrest. */
 static double unrest_penalty(const fo_course *course, size_t rows)
 {
@@ -399,16 +426,28 @@ static double course_penalty(const fo_course *course, size_t rows)
     return unrest_penalty(course, rows) + doubt_penalty(course, rows);
 }
 
-/* Information of levels and colour, and where it was evaluated: it changes slowly, and costs as much as
- * the rest. */
+/* Information, and where it was evaluated: it changes slowly, and costs more than the score. `known`: a step with it has
+ * gained about what it should. */
 typedef struct {
-    double at[FO_VARIANCES], information[FO_VARIANCES][FO_VARIANCES];
+    double at[FO_UNKNOWNS], of[FO_UNKNOWNS * FO_UNKNOWNS];
     bool known;
-} variance_information;
+} information;
 
-/* A level, ln, or the colour may move so far until its information is evaluated again. Until then, a step is
- * too long or too short, but no result changes: the last covariance has its own. Assumed. */
-static const double stale = 0.5;
+/* A level, ln, may move so far until the information is evaluated again, unless the log hardly tells it (half squares); and
+ * another parameter by this share of its longest step. Until then, a step is too long or too short, but no result
+ * changes: the last covariance has its own. Assumed. */
+static const double stale_level = 0.5, hardly = 1.0, stale = 0.5;
+
+static bool is_stale(const information *own, const fo_prior *prior, const double *parameters)
+{
+    if (!own->known) return true;
+    for (int k = 0; k < FO_UNKNOWNS; k++) {
+        const double moved = fabs(parameters[k] - own->at[k]);
+        const bool told = own->of[k * FO_UNKNOWNS + k] * moved * moved > hardly;
+        if (moved > (k < FO_VARIANCES ? stale_level : stale * longest(prior, k)) && told) return true;
+    }
+    return false;
+}
 
 /* A part of a log as a log. */
 typedef struct {
@@ -447,7 +486,7 @@ static bool sum_innovations(const fo_work *w, const double *parameters, fo_detai
     return true;
 }
 
-/* Completes the score, and gives the next course and the squares. */
+/* Adds up the score, and gives the next course and the squares. */
 static void sum_backward(const fo_work *w, const double *parameters, bool smoothing, bool squares,
                          double *score)
 {
@@ -460,28 +499,18 @@ static void sum_backward(const fo_work *w, const double *parameters, bool smooth
     }
 }
 
-/* The likelihood without its score. */
-static bool evaluate(const fo_work *w, const double *parameters, variance_information *variances,
-                     fo_posterior *out, fo_likelihood *at)
+/* The information, as far as it is stale. False: the likelihood cannot be evaluated. */
+static bool inform(const fo_work *w, const fo_prior *prior, const double *parameters, information *own,
+                   fo_likelihood *at)
 {
-    bool again = !variances->known;
-    for (int k = 0; k < FO_VARIANCES; k++)
-        again = again || fabs(parameters[k] - variances->at[k]) > stale;
-    out->evaluations++;
-    if (!sum_innovations(w, parameters, again ? FO_OF_ALL : FO_OF_THE_MODEL, at)) return false;
-    if (again) {
-        memcpy(variances->at, parameters, sizeof variances->at);
-        variances->known = true;
+    if (is_stale(own, prior, parameters)) {
+        if (!sum_innovations(w, parameters, FO_OF_ALL, at)) return false;
+        memcpy(own->at, parameters, sizeof own->at);
+        memcpy(own->of, at->information, sizeof own->of);
+        own->known = true;
     }
-    for (int r = 0; r < FO_VARIANCES; r++)
-        for (int c = 0; c < FO_VARIANCES; c++) {
-            double *own = at->information + r * FO_UNKNOWNS + c;
-            if (again)
-                variances->information[r][c] = *own;
-            else
-                *own = variances->information[r][c];
-        }
-    return isfinite(at->objective);
+    memcpy(at->information, own->of, sizeof own->of);
+    return true;
 }
 
 static void save_course(const fo_work *w)
@@ -512,47 +541,52 @@ static void halve_course(const fo_work *w)
 /* Halvings of a step of the course, at most. */
 enum { HALVINGS = 8 };
 
-bool fo_settle(const fo_work *w, const double *parameters, int passes)
-{
-    fo_likelihood at;
-    if (!sum_innovations(w, parameters, FO_OBJECTIVE, &at)) return false;
-    for (int n = 0; n < passes; n++) {
-        const double limit = at.objective + slack;
-        save_course(w);
-        sum_backward(w, parameters, true, false, NULL);
-        for (int k = 0; k < HALVINGS; k++, halve_course(w))
-            if (sum_innovations(w, parameters, FO_OBJECTIVE, &at) && at.objective <= limit) break;
-    }
-    return true;
-}
-
 /* Trials of a step, until unrest and doubt are held responsible: the base is evaluated with the new ones. */
 enum { TRIALS = 4 };
 
 /* Half squares a row by which a step of the course may raise the objective. Assumed. */
 static const double too_far = 0.1;
 
-/* The likelihood at other parameters. The course follows them: about another, the objective would be that of a
- * linearisation elsewhere. A step of the course that goes too far is halved, unless the objective is below
- * `limit` all the same. At most `most` evaluations in all. */
-static bool evaluate_there(const fo_work *w, const double *parameters, double limit, size_t most,
-                           variance_information *variances, fo_posterior *out, fo_likelihood *at)
+/* A step of the course, which is halved until the objective is no larger than this. */
+static bool smooth_course(const fo_work *w, const double *parameters, double largest, fo_likelihood *at)
 {
-    fo_likelihood first;
-    if (!sum_innovations(w, parameters, FO_OBJECTIVE, &first)) return false;
     save_course(w);
     sum_backward(w, parameters, true, false, NULL);
-    bool good = evaluate(w, parameters, variances, out, at);
-    const double largest = fmax(limit, first.objective + too_far * (double)first.counted);
-    for (int n = 0; n < HALVINGS && out->evaluations < most && !(good && at->objective <= largest); n++) {
-        halve_course(w);
-        good = evaluate(w, parameters, variances, out, at);
+    for (int n = 0;; n++, halve_course(w)) {
+        const bool good = sum_innovations(w, parameters, FO_OBJECTIVE, at) && isfinite(at->objective);
+        if (n == HALVINGS || (good && at->objective <= largest)) return good;
     }
-    return good;
 }
 
-/* Half squares a row that the last step may have gained if the next is expected to gain nothing: such gains are
- * those of the unrest, which hardly move anything else. Assumed. */
+bool fo_settle(const fo_work *w, const double *parameters, int passes)
+{
+    fo_likelihood at;
+    if (!sum_innovations(w, parameters, FO_OBJECTIVE, &at)) return false;
+    for (int n = 0; n < passes; n++)
+        if (!smooth_course(w, parameters, at.objective + slack, &at)) break;
+    return true;
+}
+
+/* Steps of the course, at most, and the share of the rest that each must gain. Assumed. */
+enum { FOLLOWING = 6 };
+static const double enough = 0.5;
+
+/* The objective at other parameters. The course follows them: about another, the objective is that of a linearisation
+ * elsewhere. It goes on until the objective is no larger than `limit`, if it gets there. */
+static bool evaluate_there(const fo_work *w, const double *parameters, double limit, fo_likelihood *at)
+{
+    if (!sum_innovations(w, parameters, FO_OBJECTIVE, at)) return false;
+    const double far = too_far * (double)at->counted;
+    for (int n = 0; n == 0 || (n < FOLLOWING && at->objective > limit); n++) {
+        const double before = at->objective, rest = isfinite(limit) ? before - limit : 0.0;
+        if (!smooth_course(w, parameters, fmax(limit, before + far), at)) return false;
+        if (!(before - at->objective > fmax(enough * rest, far))) break;
+    }
+    return true;
+}
+
+/* Half squares a row that the last step may have gained if it was expected to gain nothing; if two steps were, they may
+ * have gained more: such gains are those of the unrest, which hardly move anything else. Assumed. */
 static const double little = 2e-4;
 
 /* Learning ends if so many accepted steps have not gained what one should: levels that swing about their
@@ -564,14 +598,17 @@ typedef struct {
     const fo_work *w;
     const fo_prior *prior;
     selection free;
-    variance_information variances;
+    information known;
     fo_likelihood at;
     double g[MOST], H[MOST][MOST], tried[FO_UNKNOWNS], damping, expected;
     swing swings[MOST];
     fo_posterior *base, best;
-    bool based;
+    bool based, small; /* small: the last step was expected to gain no more than it should */
     int failed, idle;
 } learner;
+
+/* Share of the expected gain from which on a step confirms the information (trust region). */
+static const double as_expected = 0.25;
 
 static void step(learner *l)
 {
@@ -605,9 +642,13 @@ static bool accept(learner *l, double gain, bool first_steps)
     const double gained = l->based ? out->objective - objective : HUGE_VAL;
     memcpy(out->parameters, l->tried, sizeof l->tried);
     out->mean_square = l->at.mean_square;
-    out->converged = l->expected < gain && fabs(gained) < 10.0 * gain + little * (double)l->at.counted;
+    const bool small = l->expected < gain;
+    out->converged = small && (l->small || fabs(gained) < 10.0 * gain + little * (double)l->at.counted);
+    l->small = small;
+    if (!small && gained < as_expected * l->expected) l->known.known = false;
     l->failed = 0;
     l->idle = objective < l->best.objective - gain ? 0 : l->idle + 1;
+    if (!inform(w, l->prior, l->tried, &l->known, &l->at)) return false;
     save_course(w);
     if (!out->converged) sum_backward(w, l->tried, true, true, l->at.score);
     reduced(&l->free, &l->at, &own, l->g, l->H);
@@ -628,6 +669,18 @@ static bool accept(learner *l, double gain, bool first_steps)
     return true;
 }
 
+/* Doubt and unrest, from the squares of the last evaluation. */
+static void learn_course_levels(learner *l)
+{
+    const fo_log *log = l->w->problem.log;
+    fo_course *course = l->w->problem.course;
+    double *level = l->base->parameters + FO_L_acceleration;
+    learn_doubt(l->w->squares, log->rows, course);
+    learn_unrest(log, l->w->squares, course);
+    balance_unrest(l->prior, log->rows, course, level);
+    l->tried[FO_L_acceleration] = *level;
+}
+
 bool fo_learn_parts(const fo_work *w, const fo_prior *prior, double gain, size_t most, fo_posterior *out)
 {
     const size_t rows = w->problem.log->rows;
@@ -642,15 +695,15 @@ bool fo_learn_parts(const fo_work *w, const fo_prior *prior, double gain, size_t
         const bool same = l.based && !memcmp(l.tried, out->parameters, sizeof l.tried);
         const double rest = penalty_at(prior, l.tried, out->harmonics).value + course_penalty(course, rows);
         const double limit = l.based ? out->objective + slack - rest : -HUGE_VAL;
-        const bool good = evaluate_there(w, l.tried, limit, most, &l.variances, out, &l.at);
+        const bool good = evaluate_there(w, l.tried, limit, &l.at);
+        out->evaluations++;
         if (l.based && !same && !(good && l.at.objective <= limit)) {
             shorten(&l);
             continue;
         }
         if (!good && !l.based) return false;
         if (!good || !accept(&l, gain, n < 3) || out->converged || l.idle == IDLE) break;
-        learn_doubt(w->squares, rows, course);
-        learn_unrest(w->problem.log, w->squares, course);
+        if (!w->held) learn_course_levels(&l);
         set_failed(&l, false);
         l.damping *= 0.1;
         step(&l);

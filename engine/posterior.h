@@ -28,9 +28,9 @@ typedef struct {
     bool converged;     /* false: the bound on evaluations ended it */
 } fo_posterior;
 
-/* Half squares that the last step may gain. A parameter that is d standard deviations off costs d²/2, so it
- * remains within 0.8 of them. */
-#define FO_FINE 0.3
+/* Half squares that the last step may gain. A parameter that is d standard deviations off costs d²/2, so no step is
+ * longer than one of them. */
+#define FO_FINE 0.5
 
 /* Rows in which the unrest of the acceleration is constant. */
 enum { FO_STRETCH = 25 };
@@ -51,6 +51,7 @@ typedef struct {
     fo_row *rows;
     fo_squares *squares;
     fo_course *before, *best;
+    bool held; /* doubt and unrest stay as they are */
 } fo_work;
 
 /* Prior–data conflict: twice −ln of the priors, without constant, so that a parameter which is d standard deviations

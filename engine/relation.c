@@ -64,7 +64,7 @@ fo_model fo_model_of(const fo_machine *machine, const double p[FO_UNKNOWNS])
 /* What the derivative of the flux by the current depends on, but its scale. */
 enum { BENDS = 4 };
 /* Derivatives of a dual by the saturation of d; of q is the next. */
-enum { OF_BEND = 1 + FO_L_saturation_d - FO_FIRST_OF_MODEL };
+enum { OF_BEND = FO_SLOPES > 0 ? 1 + FO_L_saturation_d - FO_FIRST_OF_MODEL : 0 };
 
 /* Flux of a current in rotor coordinates, without that of the magnets or the rotor. */
 typedef struct {
@@ -165,7 +165,7 @@ static mapped current_of(const fo_model *m, const double flux[2], const double b
         memcpy(i, tried, sizeof tried);
         if (!m->machine.map && m->saturation[D] == 0.0 && m->saturation[Q] == 0.0) break;
     }
-    if (m->machine.saturates) bend(m, i, &f);
+    if (FO_SLOPES > 0 && m->machine.saturates) bend(m, i, &f);
     return f;
 }
 
@@ -184,11 +184,10 @@ static void invert(const fo_model *m, const mapped *f, const fo_dual i[2], fo_du
         for (int b = 0; b < 2; b++) {
             const double relative = f->by[a][b] / m->scale[a].d[0];
             by[a][b] = fo_scale(relative, m->scale[a]);
-            if (!m->machine.saturates) continue;
+            if (FO_SLOPES == 0 || !m->machine.saturates) continue;
             for (int k = 1; k < FO_WIDTH; k++)
                 by[a][b].d[k] += f->bends[D][a][b] * i[D].d[k] + f->bends[Q][a][b] * i[Q].d[k];
-            by[a][b].d[OF_BEND] += f->bends[2][a][b];
-            by[a][b].d[OF_BEND + 1] += f->bends[3][a][b];
+            for (int k = 0; k < 2; k++) by[a][b].d[OF_BEND + k] += f->bends[2 + k][a][b];
         }
     const bool coupled = f->by[D][Q] != 0.0 || f->by[Q][D] != 0.0;
     if (!coupled && !m->machine.map) {
@@ -291,24 +290,22 @@ static void clip(const fo_model *m, fo_prediction *p)
             p->sensed[a][A] -= 2.0 / 3.0 * d[a] * d[A];
             p->sensed[a][B] -= 2.0 / 3.0 * d[a] * d[B];
         }
-        for (int a = 0; a < 2; a++)
+        for (int a = 0; FO_SLOPES > 0 && a < 2; a++)
             p->measured_by[a][FO_L_range - FO_FIRST_OF_MEANS] += 2.0 / 3.0 * d[a] * (phase < 0.0 ? -1.0 : 1.0);
     }
     if (!p->clipped) return;
-    for (int k = 0; k < FO_COLUMNS; k++) {
+    for (int k = 0; FO_SLOPES > 0 && k < FO_COLUMNS; k++) {
         if (k == FO_L_range - FO_FIRST_OF_MEANS) continue;
         const double u = p->measured_by[A][k], v = p->measured_by[B][k];
         for (int a = 0; a < 2; a++) p->measured_by[a][k] = p->sensed[a][A] * u + p->sensed[a][B] * v;
     }
 }
 
-/* What the sensors add: i_t + o + g conj(i_t). */
-static void measure_current(const fo_model *m, fo_prediction *p)
+/* By the parameters of the means. */
+static void measured_by_means(const fo_model *m, fo_prediction *p)
 {
     const fo_pair t = p->terminal;
     const double g = m->unequal[A], k = m->unequal[B];
-    p->measured = (fo_pair){fo_shift(m->offset[A], fo_axpy(fo_scale(1.0 + g, t.a), k, t.b)),
-                            fo_shift(m->offset[B], fo_axpy(fo_scale(1.0 - g, t.b), k, t.a))};
     for (int n = 0; n < FO_COLUMNS; n++) {
         p->measured_by[A][n] = (1.0 + g) * p->by[A][n] + k * p->by[B][n];
         p->measured_by[B][n] = (1.0 - g) * p->by[B][n] + k * p->by[A][n];
@@ -319,6 +316,16 @@ static void measure_current(const fo_model *m, fo_prediction *p)
     p->measured_by[B][FO_L_gain_re - FO_FIRST_OF_MEANS] = -t.b.d[0];
     p->measured_by[A][FO_L_gain_im - FO_FIRST_OF_MEANS] = t.b.d[0];
     p->measured_by[B][FO_L_gain_im - FO_FIRST_OF_MEANS] = t.a.d[0];
+}
+
+/* What the sensors add: i_t + o + g conj(i_t). */
+static void measure_current(const fo_model *m, fo_prediction *p)
+{
+    const fo_pair t = p->terminal;
+    const double g = m->unequal[A], k = m->unequal[B];
+    p->measured = (fo_pair){fo_shift(m->offset[A], fo_axpy(fo_scale(1.0 + g, t.a), k, t.b)),
+                            fo_shift(m->offset[B], fo_axpy(fo_scale(1.0 - g, t.b), k, t.a))};
+    if (FO_SLOPES > 0) measured_by_means(m, p);
     clip(m, p);
 }
 
@@ -330,7 +337,7 @@ void fo_predict(const fo_model *m, const fo_course *at, double speed, const doub
     const double c = cos(at->angle), s = sin(at->angle);
     const double flux[2] = {c * at->flux[A] + s * at->flux[B], c * at->flux[B] - s * at->flux[A]};
     harmonics_at h;
-    memset(p->by, 0, sizeof p->by);
+    if (FO_SLOPES > 0) memset(p->by, 0, sizeof p->by);
     harmonics_of(m, c, s, &h);
     const double psi = at->psi + m->psi.d[0];
     const double own[2] = {flux[D] - h.value[D] - psi, flux[Q] - h.value[Q]};
@@ -340,7 +347,7 @@ void fo_predict(const fo_model *m, const fo_course *at, double speed, const doub
     for (int a = 0; a < 2; a++) {
         for (int k = 1; k < FO_WIDTH; k++)
             shift[a].d[k] += f.flux[a] / m->scale[a].d[0] * m->scale[a].d[k];
-        shift[a].d[OF_BEND + a] += f.by_bend[a];
+        if (FO_SLOPES > 0) shift[a].d[OF_BEND + a] += f.by_bend[a];
     }
     const double det = f.by[D][D] * f.by[Q][Q] - f.by[D][Q] * f.by[Q][D];
     const double over[2][2] = {{f.by[Q][Q] / det, -f.by[D][Q] / det},
@@ -351,13 +358,12 @@ void fo_predict(const fo_model *m, const fo_course *at, double speed, const doub
             for (int k = 1; k < FO_WIDTH; k++) i[a].d[k] -= over[a][b] * shift[b].d[k];
     }
     invert(m, &f, i, inverse);
-    by_harmonics(&h, inverse, c, s, p);
+    if (FO_SLOPES > 0) by_harmonics(&h, inverse, c, s, p);
     const fo_pair in_rotor = {i[D], i[Q]};
     p->current = turned(in_rotor, c, s);
     /* Iron: j ω λ is the induced voltage. */
     const double induced[2] = {-speed * at->flux[B], speed * at->flux[A]};
-    p->by[A][FO_L_iron_loss - FO_FIRST_OF_MEANS] = induced[A];
-    p->by[B][FO_L_iron_loss - FO_FIRST_OF_MEANS] = induced[B];
+    for (int a = 0; FO_SLOPES > 0 && a < 2; a++) p->by[a][FO_L_iron_loss - FO_FIRST_OF_MEANS] = induced[a];
     p->terminal = (fo_pair){fo_shift(m->iron * induced[A], p->current.a),
                             fo_shift(m->iron * induced[B], p->current.b)};
     measure_current(m, p);

@@ -6,6 +6,7 @@
 
 #include "dual.h"
 #include "fluxobs_map.h"
+#include "values.h"
 
 #ifdef __cplusplus
 extern "C" {

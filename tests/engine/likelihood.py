@@ -37,8 +37,8 @@ STATES, NOISE, BY = 10, 8, 4
 ELEMENTS, BENT = 43, 26
 SENSITIVE = UNKNOWNS - len(LEVELS)
 CHUNK = 64
-#: Detail of the likelihood: information of all.
-ALL = 2
+#: Detail of the likelihood: information of all; what is kept of rows: derivatives of the states.
+ALL, KEEP_SENSITIVE = 2, 2
 FIRMWARE = ENGINE.parent / "firmware"
 NUMBERS = ctypes.POINTER(ctypes.c_double)
 
@@ -130,6 +130,7 @@ ROW = np.dtype(
         ("F", float, ELEMENTS),
         ("F_by", float, (BENT, len(MODEL))),
         ("error_by", float, (2, SENSITIVE)),
+        ("moved_by", float, (STATES, SENSITIVE)),
         ("own_by", float, (NOISE, SENSITIVE)),
         ("current_by", float, (2, SENSITIVE)),
         ("measured", bool),
@@ -249,11 +250,13 @@ def likelihood(
         about = (ctypes.byref(problem), pointer(p))
         done = code.fo_innovations(*about, ALL, ctypes.byref(out), address(checkpoints))
         assert done, "the covariance is not positive, or a number is not finite"
-        whole = (ctypes.c_size_t(n), ctypes.c_bool(True), address(rows))
+        whole = (ctypes.c_size_t(n), ctypes.c_int(KEEP_SENSITIVE), address(rows))
         code.fo_again(*about, address(checkpoints), address(course), *whole)
-        outputs = _Outputs(address(follows), None, address(smoothed), address(exact), None, 1, 0)
-        back = (address(checkpoints), address(working), ctypes.byref(outputs), out.score)
-        code.fo_backward(*about, *back)
+        back = (address(checkpoints), address(working))
+        outputs = _Outputs(None, None, address(smoothed), address(exact), None, 1, 0)
+        code.fo_backward(*about, *back, ctypes.byref(outputs), None)
+        outputs = _Outputs(address(follows), None, None, None, None, 1, 0)
+        code.fo_backward(*about, *back, ctypes.byref(outputs), out.score)
     return Likelihood(
         out.objective,
         np.array(out.score),
