@@ -328,8 +328,9 @@ static void try_early(learning *l)
     fo_posterior tried = *l->posterior;
     w->problem.course = l->other;
     memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
-    l->log.early = true;
+    l->log.early = w->held = true; /* as for an exact file */
     const bool learnt = fo_learn_parts(w, &l->prior, FO_FINE, LAST, &tried);
+    w->held = false;
     l->posterior->evaluations = tried.evaluations;
     l->log.early = learnt && tried.objective < l->posterior->objective;
     if (l->log.early) {

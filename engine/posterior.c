@@ -385,7 +385,7 @@ static bool trusted_steps(const selection *s, const fo_prior *prior, const doubl
         bool trusted = true, shortened = false;
         for (int k = 0; k < s->count; k++) {
             const int at = s->at[k];
-            if (is_level(at)) step[k] = of_variance(step[k]);
+            if (at == FO_L_noise || (is_level(at) && step[k] < 0.0)) step[k] = of_variance(step[k]);
             most[k] = swings_too(at) ? longest_swing(&swings[k], prior, at, step[k]) : longest(prior, at);
             if (is_level(at) && fabs(step[k]) > most[k]) {
                 shortened = true;
@@ -402,8 +402,16 @@ static bool trusted_steps(const selection *s, const fo_prior *prior, const doubl
     return false;
 }
 
-/* ln: closer, a level is right; it changes standard deviations only, and those by as much. */
-static const double close_level = 0.1;
+/* ln: closer, a level is right; it changes standard deviations only, and those by as much. Half squares: a level that
+ * gains less is within what the log tells of it. */
+static const double close_level = 0.1, hardly = 1.0;
+
+/* What a step of a parameter is expected to gain. */
+static double gain_of(int k, double g, double step)
+{
+    const double gain = 0.5 * g * step;
+    return is_level(k) && (fabs(step) < close_level || gain < hardly) ? 0.0 : gain;
+}
 
 /* Moves the parameters. Returns the expected gain; infinity if no step can be trusted. */
 static double move(const selection *s, const fo_prior *prior, const double *g, double H[MOST][MOST],
@@ -414,7 +422,7 @@ static double move(const selection *s, const fo_prior *prior, const double *g, d
     for (int k = 0; k < s->count; k++) {
         swings[k] = (swing){step[k], most[k], false};
         parameters[s->at[k]] -= step[k];
-        if (!is_level(s->at[k]) || fabs(step[k]) > close_level) gain += 0.5 * g[k] * step[k];
+        gain += gain_of(s->at[k], g[k], step[k]);
         if (s->round && s->at[k] == FO_L_L_d) parameters[FO_L_L_q] -= step[k];
     }
     parameters[FO_L_noise] = fmax(parameters[FO_L_noise], prior->mean[FO_L_noise] - quietest);
@@ -436,7 +444,7 @@ typedef struct {
 /* A level, ln, may move so far until the information is evaluated again, unless the log hardly tells it (half squares); and
  * another parameter by this share of its longest step. Until then, a step is too long or too short, but no result
  * changes: the last covariance has its own. Assumed. */
-static const double stale_level = 0.5, hardly = 1.0, stale = 0.5;
+static const double stale_level = 0.5, stale = 0.5;
 
 static bool is_stale(const information *own, const fo_prior *prior, const double *parameters)
 {

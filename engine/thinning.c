@@ -8,7 +8,7 @@
  * drives of tests/engine/drive_table.py ended in the same minima. */
 static const double turn = 1.0;
 /* Rows that remain, at least. */
-enum { REMAIN = 1500, MOST = 16, OVER = 16 };
+enum { REMAIN = 1000, MOST = 16, OVER = 16 };
 
 size_t fo_thinning(const fo_log *log, const double *angle, double decay)
 {
