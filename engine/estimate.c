@@ -255,10 +255,10 @@ static void begin_learning(const learning *l, const double *angle, const double 
 }
 
 /* A current that reaches the range of its sensor, as a share of the largest one; parts about rows with such a
- * current; the evaluations of each hypothesis on them; and −ln of the share of the logs in which a sensor saturates.
- * Assumed; the last: one of twenty. */
+ * current; the evaluations of each hypothesis on them, for one that has more of them gains what more steps of doubt and
+ * unrest gain; and −ln of the share of the logs in which a sensor saturates. Assumed; the last: one of twenty. */
 static const double reached = 0.985, saturated = 3.0;
-enum { NEAR = 200, PLACES = 8, WITHOUT = 3, WITH = 20 };
+enum { NEAR = 200, PLACES = 8, TRIED = 10 };
 
 /* Rows near the largest currents, in no more than PLACES parts. */
 static size_t largest_rows(const learning *l, const fo_growth *g, fo_part places[PLACES])
@@ -296,7 +296,7 @@ static bool try_range(learning *l, const fo_growth *g)
     w.problem.course = l->other;
     for (int n = 0; n < 2; n++) {
         memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
-        learnt = learnt && fo_learn_parts(&w, n ? &prior : &l->prior, FO_FINE, n ? WITH : WITHOUT, tried + n);
+        learnt = learnt && fo_learn_parts(&w, n ? &prior : &l->prior, FO_FINE, TRIED, tried + n);
     }
     const double range = tried[1].parameters[FO_L_range];
     if (!learnt || range >= largest || tried[1].objective + saturated >= tried[0].objective) return false;
@@ -305,10 +305,22 @@ static bool try_range(learning *l, const fo_growth *g)
     return true;
 }
 
-/* Evaluations of all rows after those of the thinned log, at most. They are made once more if there is more to gain, or
- * if the mean square is not one within this (ln), for then the levels are not right yet. */
-enum { LAST = 8 };
+/* Evaluations of all rows after those of the thinned log, at most; fewer of a log with more than so many rows. They are
+ * made once more if the mean square is not one within this (ln), for then the levels are not right yet; and if there is
+ * more to gain, unless the log is long. */
+enum { LAST = 8, LAST_IF_LONG = 5, LONG_ROWS = 20000 };
 static const double fitted = 0.1;
+
+static bool is_long(const learning *l)
+{
+    return l->log.rows > LONG_ROWS;
+}
+
+static size_t last_of(const learning *l)
+{
+    return is_long(l) ? LAST_IF_LONG : LAST;
+}
+
 /* Mean square from which on the innovations contradict their covariance. Assumed. */
 static const double contradicted = 2.0;
 
@@ -329,7 +341,7 @@ static void try_early(learning *l)
     w->problem.course = l->other;
     memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
     l->log.early = w->held = true; /* as for an exact file */
-    const bool learnt = fo_learn_parts(w, &l->prior, FO_FINE, LAST, &tried);
+    const bool learnt = fo_learn_parts(w, &l->prior, FO_FINE, last_of(l), &tried);
     w->held = false;
     l->posterior->evaluations = tried.evaluations;
     l->log.early = learnt && tried.objective < l->posterior->objective;
@@ -620,7 +632,75 @@ static void fill_parts(const learning *from, const fo_growth *thin, size_t facto
     l->work.count = g->count;
 }
 
-/* Learns on the parts of the thinned log. */
+/* The course of the rows of the parts that have none yet, from their angles. */
+static void set_rest(const learning *l, const fo_growth *g)
+{
+    for (size_t n = 0; n < g->count; n++) {
+        const size_t end = g->parts[n].first + g->parts[n].rows;
+        for (size_t k = g->parts[n].first, next; k < end; k = next) {
+            const bool set = isfinite(l->course[k].angle);
+            for (next = k + 1; next < end && isfinite(l->course[next].angle) == set;) next++;
+            for (size_t at = k; set && at < next; at++) /* it may be another turn */
+                if (isfinite(g->angles[at])) l->course[at].angle = g->angles[at];
+            if (set) continue;
+            const fo_part rest = {k, next - k};
+            fo_log log;
+            const fo_problem own = part_of(l, &rest, &log);
+            fo_set_course(&own, g->angles + k, l->posterior->parameters);
+        }
+    }
+}
+
+/* Of parts with many more rows, these windows are learnt, evenly spread; each is within a part. Assumed: two seconds. */
+enum { WINDOWS = 3, WINDOW = 2000 };
+
+static bool keep_windows(fo_growth *g)
+{
+    const fo_growth all = *g;
+    const double apart = rows_of(g) / (double)WINDOWS;
+    double before = 0.0;
+    if (apart < 2.0 * (double)WINDOW) return false;
+    g->count = 0;
+    for (size_t n = 0; n < all.count; n++) {
+        const fo_part *own = all.parts + n;
+        const double behind = before + (double)own->rows;
+        size_t end = 0;
+        for (double at; at = apart * ((double)g->count + 0.5), g->count < WINDOWS && at < behind;) {
+            const size_t middle = (size_t)(at - before);
+            size_t first = middle > WINDOW / 2 ? middle - WINDOW / 2 : 0;
+            if (first < end) first = end;
+            end = own->rows - first < WINDOW ? own->rows : first + WINDOW;
+            g->parts[g->count++] = (fo_part){own->first + first, end - first};
+        }
+        before = behind;
+    }
+    return true;
+}
+
+/* Passes of doubt and unrest of all rows, after the windows: each costs a third of an evaluation. Assumed. */
+enum { CALMING = 6 };
+
+/* Takes the rows outside the windows again, with the angles that they had; their course is smoothed. */
+static void keep_all_rows(const fo_growth *all, learning *l, fo_growth *g)
+{
+    for (size_t k = 0; k < l->log.rows; k++) {
+        const double grown = l->spare[k];
+        if (isfinite(g->angles[k])) g->angles[k] = grown + remainder(g->angles[k] - grown, FO_TURN);
+        else
+            g->angles[k] = grown;
+    }
+    memcpy(g->parts, all->parts, sizeof g->parts);
+    g->count = all->count;
+    set_rest(l, g);
+    double rough[FO_UNKNOWNS];
+    memcpy(rough, l->posterior->parameters, sizeof rough);
+    raise_levels(&l->prior, rough);
+    if (!fo_settle(&l->work, rough, ROUGH)) return;
+    begin_unrest(l, false);
+    fo_calm(&l->work, &l->prior, CALMING, l->posterior->parameters);
+}
+
+/* Learns on the parts of the thinned log; l->spare are the angles of all rows. */
 static fo_outcome learn_thinned(learning *l, size_t factor, fo_growth *g)
 {
     thinned *t = malloc(sizeof *t);
@@ -635,14 +715,18 @@ static fo_outcome learn_thinned(learning *l, size_t factor, fo_growth *g)
                      .covariance = t->posterior.covariance,
                      .hints = malloc(2 * rows * sizeof *own.hints)};
     fo_outcome outcome = FO_NO_MEMORY;
+    bool windows = false;
     if (own.hints) {
         own.angles = own.hints + rows;
         thin_parts(g, factor, &own);
+        windows = keep_windows(&own);
         outcome = learn_parts(&t->own, &own) ? FO_ESTIMATED : FO_NO_ESTIMATE;
     }
     if (outcome == FO_ESTIMATED) {
+        const fo_growth all = *g;
         fill_parts(&t->own, &own, factor, l, g);
         take_posterior(t, l->posterior);
+        if (windows) keep_all_rows(&all, l, g);
     }
     free(own.hints);
     close_thinned(t);
@@ -653,30 +737,18 @@ static fo_outcome learn_thinned(learning *l, size_t factor, fo_growth *g)
 /* Learns on all rows of the parts, with those that have grown since. */
 static fo_outcome finish(learning *l, fo_growth *g)
 {
-    const double *p = l->posterior->parameters;
     double rough[FO_UNKNOWNS];
-    memcpy(rough, p, sizeof rough);
+    memcpy(rough, l->posterior->parameters, sizeof rough);
     raise_levels(&l->prior, rough);
-    for (size_t n = 0; n < g->count; n++) {
-        const size_t end = g->parts[n].first + g->parts[n].rows;
-        for (size_t k = g->parts[n].first, next; k < end; k = next) {
-            const bool set = isfinite(l->course[k].angle);
-            for (next = k + 1; next < end && isfinite(l->course[next].angle) == set;) next++;
-            for (size_t at = k; set && at < next; at++) /* it may be another turn */
-                if (isfinite(g->angles[at])) l->course[at].angle = g->angles[at];
-            if (set) continue;
-            const fo_part rest = {k, next - k};
-            fo_log log;
-            const fo_problem own = part_of(l, &rest, &log);
-            fo_set_course(&own, g->angles + k, p);
-        }
-    }
+    set_rest(l, g);
     fo_cut_parts(g, l->course, rough, false);
     l->work.parts = g->parts;
     l->work.count = g->count;
-    bool learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, LAST, l->posterior);
-    if (learnt && (!l->posterior->converged || fabs(log(l->posterior->mean_square)) > fitted))
-        learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, LAST, l->posterior);
+    const size_t last = last_of(l);
+    bool learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, last, l->posterior);
+    const bool ended = l->posterior->converged || is_long(l);
+    if (learnt && (!ended || fabs(log(l->posterior->mean_square)) > fitted))
+        learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, last, l->posterior);
     if (learnt) try_file(l);
     return learnt && l->posterior->mean_square < contradicted ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }

@@ -566,12 +566,36 @@ static bool smooth_course(const fo_work *w, const double *parameters, double lar
     }
 }
 
+/* Of rows outside the parts, about which nothing is learnt. */
+static const fo_squares usual_squares = {1.0, 0.0, 2.0};
+
+/* Doubt, unrest and level of the acceleration, from the squares of the last evaluation. */
+static void learn_course_levels(const fo_work *w, const fo_prior *prior, double *level)
+{
+    const fo_log *log = w->problem.log;
+    learn_doubt(w->squares, log->rows, w->problem.course);
+    learn_unrest(log, w->squares, w->problem.course);
+    balance_unrest(prior, log->rows, w->problem.course, level);
+}
+
 bool fo_settle(const fo_work *w, const double *parameters, int passes)
 {
     fo_likelihood at;
     if (!sum_innovations(w, parameters, FO_OBJECTIVE, &at)) return false;
     for (int n = 0; n < passes; n++)
         if (!smooth_course(w, parameters, at.objective + slack, &at)) break;
+    return true;
+}
+
+bool fo_calm(const fo_work *w, const fo_prior *prior, int passes, double parameters[FO_UNKNOWNS])
+{
+    for (size_t k = 0; k < w->problem.log->rows; k++) w->squares[k] = usual_squares;
+    for (int n = 0; n < passes; n++) {
+        fo_likelihood at;
+        if (!sum_innovations(w, parameters, FO_OBJECTIVE, &at)) return false;
+        sum_backward(w, parameters, true, true, NULL);
+        learn_course_levels(w, prior, parameters + FO_L_acceleration);
+    }
     return true;
 }
 
@@ -677,18 +701,6 @@ static bool accept(learner *l, double gain, bool first_steps)
     return true;
 }
 
-/* Doubt and unrest, from the squares of the last evaluation. */
-static void learn_course_levels(learner *l)
-{
-    const fo_log *log = l->w->problem.log;
-    fo_course *course = l->w->problem.course;
-    double *level = l->base->parameters + FO_L_acceleration;
-    learn_doubt(l->w->squares, log->rows, course);
-    learn_unrest(log, l->w->squares, course);
-    balance_unrest(l->prior, log->rows, course, level);
-    l->tried[FO_L_acceleration] = *level;
-}
-
 bool fo_learn_parts(const fo_work *w, const fo_prior *prior, double gain, size_t most, fo_posterior *out)
 {
     const size_t rows = w->problem.log->rows;
@@ -697,7 +709,7 @@ bool fo_learn_parts(const fo_work *w, const fo_prior *prior, double gain, size_t
     l.best.objective = HUGE_VAL;
     memcpy(l.tried, out->parameters, sizeof l.tried);
     out->converged = false;
-    for (size_t k = 0; k < rows; k++) w->squares[k] = (fo_squares){1.0, 0.0, 2.0};
+    for (size_t k = 0; k < rows; k++) w->squares[k] = usual_squares;
     most += out->evaluations;
     for (size_t n = 0; out->evaluations < most; n++) {
         const bool same = l.based && !memcmp(l.tried, out->parameters, sizeof l.tried);
@@ -711,7 +723,10 @@ bool fo_learn_parts(const fo_work *w, const fo_prior *prior, double gain, size_t
         }
         if (!good && !l.based) return false;
         if (!good || !accept(&l, gain, n < 3) || out->converged || l.idle == IDLE) break;
-        if (!w->held) learn_course_levels(&l);
+        if (!w->held) {
+            learn_course_levels(w, prior, out->parameters + FO_L_acceleration);
+            l.tried[FO_L_acceleration] = out->parameters[FO_L_acceleration];
+        }
         set_failed(&l, false);
         l.damping *= 0.1;
         step(&l);

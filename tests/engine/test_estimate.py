@@ -123,6 +123,19 @@ def test_what_nothing_informs_keeps_its_prior():
     assert done[0].std("knee") > 0.3
 
 
+def test_a_long_log_is_learnt_on_windows():
+    """25,000 rows: three windows tell the parameters first, then a few evaluations of all rows."""
+    c = replace(SURFACE, duration=2.5)
+    record = simulated(c, 1, seed=3)
+    file = file_of(0.4, 5.5e-4, 5.5e-4, 0.012, 12.0)
+    e = estimate(record.voltage[:, 0], record.current[:, 0], H, file, course(record, 0))
+    error = degrees(e.rows["angle"], record.angle[:, 0])
+    assert np.sqrt(np.mean(error**2)) < 0.2
+    assert np.mean((error / np.degrees(e.rows["angle_std"])) ** 2) < 1.5
+    for name, true in (("resistance", c.R), ("L_d", c.L_d), ("psi_f", c.psi)):
+        assert abs(e.value(name) - np.log(true)) < 3 * e.std(name) < 0.06, name
+
+
 def test_one_inductance_stays_one():
     for e in estimated("surface")[2]:
         assert e.value("L_d") == e.value("L_q")
