@@ -795,14 +795,25 @@ static fo_outcome learn_seeds(const learning *l, const double *parameters, fo_gr
     return FO_NO_ESTIMATE;
 }
 
-/* Parameters must explain this share of the rows with hints. If these are not sure, they must explain other rows: so
- * many times those of the seed, or this share of the log. Assumed. */
-static const double most_hints = 0.33, proof = 2.0, nearly_all = 0.9;
+/* Parameters must explain this share of the rows with hints. If these are not sure, they must explain most of the rows that
+ * are measured, and other ones: so many times those of the seed, or this share of the log. Assumed. */
+static const double most_hints = 0.33, most_rows = 0.5, proof = 2.0, nearly_all = 0.9;
+
+static double measured_rows(const fo_log *log)
+{
+    double rows = 0.0;
+    for (size_t k = 0; k < log->rows; k++) {
+        const double *u = log->voltage + 2 * k, *i = log->current + 2 * k;
+        rows += isfinite(u[0] + u[1] + i[0] + i[1]) ? 1.0 : 0.0;
+    }
+    return rows;
+}
 
 static bool is_proven(const fo_growth *g, bool sure, double hinted, double seed)
 {
     const double known = rows_of(g);
     if (sure) return known > most_hints * hinted;
+    if (known < most_rows * measured_rows(g->log)) return false;
     return known > proof * seed || known > nearly_all * (double)g->log->rows;
 }
 
