@@ -24,8 +24,8 @@ static double dot(const double *x, const double *y)
     return sum;
 }
 
-/* What an interval adds to the score through the covariance: ∂F and the process noise. `after`, `before`: λ at its end and its
- * begin; `excess`: diagonal of Λ − λ λᵀ at its end; `half`: Λ F. */
+/* What an interval adds to the score through the covariance: ∂F and the process noise. `after`, `before`: λ at its end
+ * and its begin; `excess`: diagonal of Λ − λ λᵀ at its end; `half`: Λ F. */
 static void score_of_transition(const fo_model *m, double h, const fo_course *at, const fo_row *row,
                                 const fo_elements *elements, const double after[S], const double excess[S],
                                 const double before[S], double half[S][S], double *score)
@@ -105,7 +105,7 @@ static measured measured_at(const fo_row *row, const adjoint *a, bool counts)
     return z;
 }
 
-/* What a measurement adds to the score: through its innovation, and through its covariance and the gain, ∂R and ∂H. */
+/* What a measurement adds to the score: through its innovation, and through covariance and gain, ∂R and ∂H. */
 static void score_of_measurement(const fo_row *row, const adjoint *a, const measured *z,
                                  double *score)
 {

@@ -651,7 +651,8 @@ static void set_rest(const learning *l, const fo_growth *g)
     }
 }
 
-/* Of parts with many more rows, these windows are learnt, evenly spread; each is within a part. Assumed: two seconds. */
+/* Of parts with many more rows, these windows are learnt, evenly spread; each is within a part. Assumed: they take a second
+ * or two. */
 enum { WINDOWS = 3, WINDOW = 2000 };
 
 static bool keep_windows(fo_growth *g)
@@ -678,16 +679,14 @@ static bool keep_windows(fo_growth *g)
 }
 
 /* Passes of doubt and unrest of all rows, after the windows: each costs a third of an evaluation. Assumed. */
-enum { CALMING = 6 };
+enum { UNREST_PASSES = 6 };
 
 /* Takes the rows outside the windows again, with the angles that they had; their course is smoothed. */
 static void keep_all_rows(const fo_growth *all, learning *l, fo_growth *g)
 {
     for (size_t k = 0; k < l->log.rows; k++) {
-        const double grown = l->spare[k];
-        if (isfinite(g->angles[k])) g->angles[k] = grown + remainder(g->angles[k] - grown, FO_TURN);
-        else
-            g->angles[k] = grown;
+        const double grown = l->spare[k], smoothed = g->angles[k];
+        g->angles[k] = isfinite(smoothed) ? grown + remainder(smoothed - grown, FO_TURN) : grown;
     }
     memcpy(g->parts, all->parts, sizeof g->parts);
     g->count = all->count;
@@ -697,7 +696,7 @@ static void keep_all_rows(const fo_growth *all, learning *l, fo_growth *g)
     raise_levels(&l->prior, rough);
     if (!fo_settle(&l->work, rough, ROUGH)) return;
     begin_unrest(l, false);
-    fo_calm(&l->work, &l->prior, CALMING, l->posterior->parameters);
+    fo_settle_unrest(&l->work, &l->prior, UNREST_PASSES, l->posterior->parameters);
 }
 
 /* Learns on the parts of the thinned log; l->spare are the angles of all rows. */
@@ -795,8 +794,8 @@ static fo_outcome learn_seeds(const learning *l, const double *parameters, fo_gr
     return FO_NO_ESTIMATE;
 }
 
-/* Parameters must explain this share of the rows with hints. If these are not sure, they must explain most of the rows that
- * are measured, and other ones: so many times those of the seed, or this share of the log. Assumed. */
+/* Parameters must explain this share of the rows with hints. If these are not sure, they must explain most of the rows
+ * that are measured, and other ones: so many times those of the seed, or this share of the log. Assumed. */
 static const double most_hints = 0.33, most_rows = 0.5, proof = 2.0, nearly_all = 0.9;
 
 static double measured_rows(const fo_log *log)

@@ -274,24 +274,31 @@ static void learn_unrest(const fo_log *record, const fo_squares *made, fo_course
 /* Level of the acceleration at which the prior of the unrest fits best if no variance changes: the harmonic mean of
  * these variances, and the level's own prior. The unrest is then that about this level. Step by step, both would creep
  * there. Newton's method; the function is convex. */
-static void balance_unrest(const fo_prior *prior, size_t rows, fo_course *course, double *level)
+static void balance_unrest(const fo_work *w, const fo_prior *prior, double *level)
 {
     enum { STEPS = 50 };
     const double mean = prior->mean[FO_L_acceleration], begin = *level;
-    const double all = calm_rows * (double)rows / (double)FO_STRETCH;
-    double calm_share = 0.0;
+    double rows = 0.0, calmness = 0.0;
     if (!(prior->std[FO_L_acceleration] > 0.0)) return;
-    for (size_t k = 0; k < rows; k++) calm_share += 1.0 / course[k].unrest / (double)rows;
+    for (size_t n = 0; n < w->count; n++) {
+        const fo_course *own = w->problem.course + w->parts[n].first;
+        for (size_t k = 0; k < w->parts[n].rows; k++) calmness += 1.0 / own[k].unrest;
+        rows += (double)w->parts[n].rows;
+    }
+    const double all = calm_rows * rows / (double)FO_STRETCH;
     for (int n = 0; n < STEPS; n++) {
         const double std = std_of(prior, FO_L_acceleration, *level - mean);
-        const double ratio = calm_share * exp(2.0 * (*level - begin));
+        const double ratio = calmness / rows * exp(2.0 * (*level - begin));
         const double slope = all * (ratio - 1.0) + (*level - mean) / (std * std);
         const double step = slope / (2.0 * all * fmax(ratio, 1.0) + 1.0 / (std * std));
         *level -= step;
         if (fabs(step) < 1e-6) break;
     }
     const double change = exp(2.0 * (begin - *level));
-    for (size_t k = 0; k < rows; k++) course[k].unrest *= change;
+    for (size_t n = 0; n < w->count; n++) {
+        fo_course *own = w->problem.course + w->parts[n].first;
+        for (size_t k = 0; k < w->parts[n].rows; k++) own[k].unrest *= change;
+    }
 }
 
 /* −ln of the prior of the unrest. */
@@ -441,9 +448,9 @@ typedef struct {
     bool known;
 } information;
 
-/* A level, ln, may move so far until the information is evaluated again, unless the log hardly tells it (half squares); and
- * another parameter by this share of its longest step. Until then, a step is too long or too short, but no result
- * changes: the last covariance has its own. Assumed. */
+/* A level, ln, may move so far until the information is evaluated again, and another parameter by this share of its
+ * longest step, unless the log hardly tells it. Until then, a step is too long or too short, but no result changes: the
+ * last covariance has its own. Assumed. */
 static const double stale_level = 0.5, stale = 0.5;
 
 static bool is_stale(const information *own, const fo_prior *prior, const double *parameters)
@@ -575,7 +582,7 @@ static void learn_course_levels(const fo_work *w, const fo_prior *prior, double 
     const fo_log *log = w->problem.log;
     learn_doubt(w->squares, log->rows, w->problem.course);
     learn_unrest(log, w->squares, w->problem.course);
-    balance_unrest(prior, log->rows, w->problem.course, level);
+    balance_unrest(w, prior, level);
 }
 
 bool fo_settle(const fo_work *w, const double *parameters, int passes)
@@ -587,7 +594,7 @@ bool fo_settle(const fo_work *w, const double *parameters, int passes)
     return true;
 }
 
-bool fo_calm(const fo_work *w, const fo_prior *prior, int passes, double parameters[FO_UNKNOWNS])
+bool fo_settle_unrest(const fo_work *w, const fo_prior *prior, int passes, double parameters[FO_UNKNOWNS])
 {
     for (size_t k = 0; k < w->problem.log->rows; k++) w->squares[k] = usual_squares;
     for (int n = 0; n < passes; n++) {

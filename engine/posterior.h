@@ -72,7 +72,7 @@ bool fo_settle(const fo_work *work, const double *parameters, int passes);
 
 /* Smooths the course at fixed parameters, so many times, and learns doubt, unrest and the level of the acceleration each
  * time. */
-bool fo_calm(const fo_work *work, const fo_prior *prior, int passes, double parameters[FO_UNKNOWNS]);
+bool fo_settle_unrest(const fo_work *work, const fo_prior *prior, int passes, double parameters[FO_UNKNOWNS]);
 
 /* Covariance of the parameters, from the information of the course. False: the likelihood cannot be evaluated. */
 bool fo_course_covariance(const fo_work *work, const fo_prior *prior, fo_posterior *out);
