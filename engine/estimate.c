@@ -305,21 +305,10 @@ static bool try_range(learning *l, const fo_growth *g)
     return true;
 }
 
-/* Evaluations of all rows after those of the thinned log, at most; fewer of a log with more than so many rows. They are
- * made once more if the mean square is not one within this (ln), for then the levels are not right yet; and if there is
- * more to gain, unless the log is long. */
-enum { LAST = 8, LAST_IF_LONG = 5, LONG_ROWS = 20000 };
+/* Evaluations of all rows after those of the thinned log, at most. They are made once more if there is more to gain, or
+ * if the mean square is not one within this (ln), for then the levels are not right yet. */
+enum { LAST = 8 };
 static const double fitted = 0.1;
-
-static bool is_long(const learning *l)
-{
-    return l->log.rows > LONG_ROWS;
-}
-
-static size_t last_of(const learning *l)
-{
-    return is_long(l) ? LAST_IF_LONG : LAST;
-}
 
 /* Mean square from which on the innovations contradict their covariance. Assumed. */
 static const double contradicted = 2.0;
@@ -341,7 +330,7 @@ static void try_early(learning *l)
     w->problem.course = l->other;
     memcpy(l->other, l->course, l->log.rows * sizeof *l->course);
     l->log.early = w->held = true; /* as for an exact file */
-    const bool learnt = fo_learn_parts(w, &l->prior, FO_FINE, last_of(l), &tried);
+    const bool learnt = fo_learn_parts(w, &l->prior, FO_FINE, LAST, &tried);
     w->held = false;
     l->posterior->evaluations = tried.evaluations;
     l->log.early = learnt && tried.objective < l->posterior->objective;
@@ -743,11 +732,9 @@ static fo_outcome finish(learning *l, fo_growth *g)
     fo_cut_parts(g, l->course, rough, false);
     l->work.parts = g->parts;
     l->work.count = g->count;
-    const size_t last = last_of(l);
-    bool learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, last, l->posterior);
-    const bool ended = l->posterior->converged || is_long(l);
-    if (learnt && (!ended || fabs(log(l->posterior->mean_square)) > fitted))
-        learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, last, l->posterior);
+    bool learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, LAST, l->posterior);
+    if (learnt && (!l->posterior->converged || fabs(log(l->posterior->mean_square)) > fitted))
+        learnt = fo_learn_parts(&l->work, &l->prior, FO_FINE, LAST, l->posterior);
     if (learnt) try_file(l);
     return learnt && l->posterior->mean_square < contradicted ? FO_ESTIMATED : FO_NO_ESTIMATE;
 }
