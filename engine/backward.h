@@ -59,8 +59,8 @@ typedef struct {
     size_t stride, place;
 } fo_outputs;
 
-/* The way back after fo_innovations at the same parameters. Adds the score of these rows to `score`, FO_UNKNOWNS numbers,
- * or null; not together with smoothed rows. `rows`: working space, FO_CHUNK elements. */
+/* The way back, after fo_innovations at the same parameters. The derivatives of the objective are added to `score`,
+ * FO_UNKNOWNS numbers, unless it is null; with smoothed rows it must be. `rows`: working space, FO_CHUNK elements. */
 void fo_backward(const fo_problem *problem, const double parameters[FO_UNKNOWNS],
                  const fo_filter *checkpoints, fo_row *rows, const fo_outputs *out, double *score);
 

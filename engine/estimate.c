@@ -512,8 +512,9 @@ static fo_outcome learn_seed(const learning *l, const fo_part *part, const doubl
  * beside it; the acceleration's is an ordinary drive's. Assumed. */
 static const double calmer = 1.0;
 
-static void raise_levels(const fo_prior *prior, double *p)
+static void raise_levels(const fo_prior *prior, const double *parameters, double p[FO_UNKNOWNS])
 {
+    memcpy(p, parameters, FO_UNKNOWNS * sizeof *p);
     for (int k = 0; k < FO_LEVELS; k++) {
         const double less = k == FO_L_acceleration ? 0.0 : calmer;
         p[k] = fmax(p[k], prior->mean[k] - less);
@@ -525,8 +526,7 @@ static bool grow_parts(const learning *l, fo_growth *g)
 {
     double p[FO_UNKNOWNS];
     size_t n = 0;
-    memcpy(p, l->posterior->parameters, sizeof p);
-    raise_levels(&l->prior, p);
+    raise_levels(&l->prior, l->posterior->parameters, p);
     do {
         for (; n < g->count; n++)
             if (!fo_grow_part(g, g->parts + n, p)) return false;
@@ -550,8 +550,7 @@ static void set_parts(learning *l, fo_growth *g, const double *parameters)
 {
     fo_work *w = &l->work;
     double rough[FO_UNKNOWNS];
-    memcpy(rough, parameters, sizeof rough);
-    raise_levels(&l->prior, rough);
+    raise_levels(&l->prior, parameters, rough);
     for (size_t k = 0; k < l->log.rows; k++) l->course[k] = (fo_course){.unrest = 1.0, .doubt = 1.0};
     size_t count = 0;
     for (size_t n = 0; n < g->count; n++) {
@@ -655,8 +654,8 @@ static bool keep_windows(fo_growth *g)
         const fo_part *own = all.parts + n;
         const double behind = before + (double)own->rows;
         size_t end = 0;
-        for (double at; at = apart * ((double)g->count + 0.5), g->count < WINDOWS && at < behind;) {
-            const size_t middle = (size_t)(at - before);
+        while (g->count < WINDOWS && apart * ((double)g->count + 0.5) < behind) {
+            const size_t middle = (size_t)(apart * ((double)g->count + 0.5) - before);
             size_t first = middle > WINDOW / 2 ? middle - WINDOW / 2 : 0;
             if (first < end) first = end;
             end = own->rows - first < WINDOW ? own->rows : first + WINDOW;
@@ -681,14 +680,13 @@ static void keep_all_rows(const fo_growth *all, learning *l, fo_growth *g)
     g->count = all->count;
     set_rest(l, g);
     double rough[FO_UNKNOWNS];
-    memcpy(rough, l->posterior->parameters, sizeof rough);
-    raise_levels(&l->prior, rough);
+    raise_levels(&l->prior, l->posterior->parameters, rough);
     if (!fo_settle(&l->work, rough, ROUGH)) return;
     begin_unrest(l, false);
     fo_settle_unrest(&l->work, &l->prior, UNREST_PASSES, l->posterior->parameters);
 }
 
-/* Learns on the parts of the thinned log; l->spare are the angles of all rows. */
+/* Learns on the parts of the thinned log; before, l->spare has the angles of all rows. */
 static fo_outcome learn_thinned(learning *l, size_t factor, fo_growth *g)
 {
     thinned *t = malloc(sizeof *t);
@@ -726,8 +724,7 @@ static fo_outcome learn_thinned(learning *l, size_t factor, fo_growth *g)
 static fo_outcome finish(learning *l, fo_growth *g)
 {
     double rough[FO_UNKNOWNS];
-    memcpy(rough, l->posterior->parameters, sizeof rough);
-    raise_levels(&l->prior, rough);
+    raise_levels(&l->prior, l->posterior->parameters, rough);
     set_rest(l, g);
     fo_cut_parts(g, l->course, rough, false);
     l->work.parts = g->parts;

@@ -870,7 +870,7 @@ static void keep_row(const pass *q, const fo_filter *f, const fo_prediction *at,
     }
     memcpy(row->P, f->P, sizeof row->P);
     row->measured = z;
-    if (q->direct && z) memcpy(row->error_by, error_by, sizeof row->error_by);
+    if (z && (q->direct || q->sensitive)) memcpy(row->error_by, error_by, sizeof row->error_by);
     if (q->sensitive) {
         memcpy(row->own_by, f->by, sizeof row->own_by);
         for (int a = 0; a < 2; a++) {
@@ -880,10 +880,6 @@ static void keep_row(const pass *q, const fo_filter *f, const fo_prediction *at,
             memcpy(by + MEANS, at->by[a], sizeof at->by[a]);
             by[FO_L_iron_loss - FO_LEVELS] = 0.0;
         }
-        if (z)
-            memcpy(row->error_by, error_by, sizeof row->error_by);
-        else
-            memset(row->error_by, 0, sizeof row->error_by);
     }
     if (!z) return;
     memcpy(row->error, z->e, sizeof row->error);
@@ -1024,7 +1020,7 @@ bool fo_innovations(const fo_problem *problem, const double parameters[FO_UNKNOW
     fo_filter f;
     start_at(problem, &m, &f);
     memset(out, 0, sizeof *out);
-    if (detail >= FO_OF_ALL) {
+    if (q.sensitive) {
         memset(by, 0, sizeof by);
         for (int r = FO_NOISE; r < S; r++) {
             by[FO_L_noise].P[r][r] = 2.0 * f.P[r][r];

@@ -105,7 +105,7 @@ typedef struct {
     double H_by[2][FO_BY][FO_T];        /* and theirs by the parameters of the model */
     double F[FO_ELEMENTS];              /* transition to the next row */
     double F_by[FO_BENT][FO_T];
-    double error_by[2][FO_SENSITIVE];   /* derivatives of the innovation, of gain and predicted state held */
+    double error_by[2][FO_SENSITIVE];   /* derivatives of the innovation, gain held; FO_KEEP_DIRECT: state held too */
     double moved_by[FO_STATES][FO_SENSITIVE]; /* of the next state, that of this row held */
     double own_by[FO_NOISE][FO_SENSITIVE]; /* of the states but the noise, gain held */
     double current_by[2][FO_SENSITIVE]; /* of that current, with given states */
@@ -130,9 +130,8 @@ size_t fo_checkpoints(size_t rows);
 /* How much is evaluated; each contains those before. */
 typedef enum {
     FO_OBJECTIVE,
-    FO_OF_THE_MODEL, /* information of the parameters of model and means */
-    FO_OF_ALL,       /* information of levels and colour; costs as much as the rest */
-    FO_OF_COURSE     /* as before, but the information is that of the course */
+    FO_OF_ALL,   /* information of all parameters */
+    FO_OF_COURSE /* as before, but the information is that of the course */
 } fo_detail;
 
 /* Objective and information at the parameters: FO_L, then two coefficients of each harmonic [Wb]. False: a

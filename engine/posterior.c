@@ -413,7 +413,7 @@ static bool trusted_steps(const selection *s, const fo_prior *prior, const doubl
  * gains less is within what the log tells of it. */
 static const double close_level = 0.1, hardly = 1.0;
 
-/* What a step of a parameter is expected to gain. */
+/* Expected gain of a step of a parameter. */
 static double gain_of(int k, double g, double step)
 {
     const double gain = 0.5 * g * step;

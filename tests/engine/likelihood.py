@@ -38,7 +38,7 @@ ELEMENTS, BENT = 43, 26
 SENSITIVE = UNKNOWNS - len(LEVELS)
 CHUNK = 64
 #: Detail of the likelihood: information of all; what is kept of rows: derivatives of the states.
-ALL, KEEP_SENSITIVE = 2, 2
+ALL, KEEP_SENSITIVE = 1, 2
 FIRMWARE = ENGINE.parent / "firmware"
 NUMBERS = ctypes.POINTER(ctypes.c_double)
 
